@@ -1,0 +1,1 @@
+"""Poses, cameras, symmetry, datasets on disk, and how good a prediction is."""

@@ -1,0 +1,104 @@
+"""Rigid transforms as (..., 4, 4) arrays and rotations as (..., 3, 3) arrays, batch first, float64.
+
+A transform is named for what it maps: ``cam_from_obj @ points_in_obj``. Quaternions are xyzw.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def from_rotation_translation(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) and translation (..., 3) to a transform (..., 4, 4)."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    pose = np.zeros((*batch, 4, 4))
+    pose[..., :3, :3] = rotation
+    pose[..., :3, 3] = translation
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def invert(pose: ArrayLike) -> Array:
+    """Inverse of rigid transforms (..., 4, 4)."""
+    pose = np.asarray(pose, float)
+    rotation_t = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return from_rotation_translation(rotation_t, -np.einsum("...ij,...j->...i", rotation_t, pose[..., :3, 3]))
+
+
+def apply(pose: ArrayLike, points: ArrayLike) -> Array:
+    """Transform points: pose (..., 4, 4), points (..., n, 3) -> (..., n, 3)."""
+    pose, points = np.asarray(pose, float), np.asarray(points, float)
+    return points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
+
+
+def rotation_angle(rotation_a: ArrayLike, rotation_b: ArrayLike) -> Array:
+    """Angle in radians between rotations (..., 3, 3); accurate near 0 and near pi."""
+    a, b = np.asarray(rotation_a, float), np.asarray(rotation_b, float)
+    chord = np.linalg.norm(a - b, axis=(-2, -1))
+    return 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
+
+
+def is_rotation(matrix: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
+    """Whether matrices (..., 3, 3) are finite, orthonormal to `tolerance`, and proper (determinant +1)."""
+    matrix = np.asarray(matrix, float)
+    finite = np.isfinite(matrix).all(axis=(-2, -1))
+    safe = np.where(finite[..., None, None], matrix, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        gram = safe @ np.swapaxes(safe, -1, -2)
+        orthonormal = (np.abs(gram - np.eye(3)) <= tolerance).all(axis=(-2, -1))
+        return finite & orthonormal & (np.linalg.det(safe) > 0)
+
+
+def nearest_rotation(matrix: ArrayLike) -> Array:
+    """The proper rotations (..., 3, 3) closest in the Frobenius norm: mends rounding in files."""
+    u, _, vt = np.linalg.svd(np.asarray(matrix, float))
+    sign = np.sign(np.linalg.det(u @ vt))
+    u[..., :, 2] *= sign[..., None]
+    return np.asarray(u @ vt)
+
+
+def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) about unit axes (..., 3) by angles (...) in radians (Rodrigues)."""
+    direction, turn = np.array(axis, float), np.asarray(angle, float)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    batch = np.broadcast_shapes(direction.shape[:-1], turn.shape)
+    x, y, z = np.moveaxis(np.broadcast_to(direction, (*batch, 3)), -1, 0)
+    zero = np.zeros(batch)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*batch, 3, 3)
+    sine, cosine = np.sin(turn)[..., None, None], np.cos(turn)[..., None, None]
+    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross))
+
+
+def from_quaternion_xyzw(quaternion: ArrayLike) -> Array:
+    """Quaternions (..., 4) in x, y, z, w order, of any non-zero norm, to rotations (..., 3, 3)."""
+    q = np.asarray(quaternion, float)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return np.stack(rows, -1).reshape(*q.shape[:-1], 3, 3)
+
+
+def random_rotations(rng: np.random.Generator, count: int) -> Array:
+    """`count` rotations (count, 3, 3), uniform over SO(3)."""
+    return from_quaternion_xyzw(rng.standard_normal((count, 4)))
+
+
+def rotation_between(source: ArrayLike, target: ArrayLike) -> Array:
+    """The smallest rotations (..., 3, 3) that turn unit vectors `source` (..., 3) into `target` (..., 3).
+
+    For opposite vectors, where the axis is free, half a turn about an axis normal to `source`.
+    """
+    a, b = np.broadcast_arrays(np.asarray(source, float), np.asarray(target, float))
+    axis = np.cross(a, b)
+    sine, cosine = np.linalg.norm(axis, axis=-1), (a * b).sum(-1)
+    least = np.eye(3)[np.abs(a).argmin(-1)]
+    normal = np.cross(a, least)
+    axis = np.where((sine < 1e-12)[..., None], normal, axis)
+    return from_axis_angle(axis, np.arctan2(sine, cosine))

@@ -1,0 +1,1 @@
+"""From a CAD mesh to labelled bin-picking depth images."""
