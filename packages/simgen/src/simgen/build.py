@@ -1,0 +1,254 @@
+"""From a job to a folder of shards: in parallel, resumable, and with the same bytes every time.
+
+A shard is one task: simulated, rendered and written by one process. Nothing that a task computes depends on another,
+so that workers, order and interruptions do not show in the result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+from evalkit.errors import InputError
+from evalkit.shards import (
+    DATASET_FILE,
+    ShardReader,
+    ShardWriter,
+    checksum_problem,
+    read_dataset_file,
+    shard_name,
+    write_dataset_file,
+)
+from tqdm import tqdm
+
+from simgen.scenes import Job, SceneRenderer, simulate_scene
+
+MAX_BROKEN_POOLS = 3
+POLL_SECONDS = 0.2
+
+
+@dataclass(frozen=True)
+class ShardReport:
+    """One finished shard: scenes in it, and drops that had to be thrown away."""
+
+    shard: int
+    scenes: int
+    redone: int
+
+
+@dataclass
+class BuildReport:
+    """What a build did: shards found complete, rebuilt because damaged, written; scenes redone; pools that broke."""
+
+    kept: int = 0
+    damaged: list[str] = field(default_factory=list)
+    written: list[ShardReport] = field(default_factory=list)
+    broken_pools: int = 0
+
+    @property
+    def redone(self) -> int:
+        return sum(report.redone for report in self.written)
+
+
+def build(job: Job, folder: Path, workers: int) -> BuildReport:
+    """Complete the dataset in `folder`: write the shards that are missing or damaged, leave the others alone.
+
+    Raises:
+        InputError: the folder holds another dataset, another build is at work in it, or workers keep dying.
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone_in(folder):
+        _claim(folder, job)
+        for leftover in folder.glob(".shard-*.tmp"):
+            leftover.unlink()
+        report = BuildReport()
+        missing = _missing_shards(folder, job, report)
+        scenes = sum(len(job.config.scenes_of_shard(shard)) for shard in missing)
+        try:
+            with tqdm(total=scenes, unit="scene", disable=not missing) as bar:
+                _build_shards(job, folder, missing, workers, report, bar)
+        finally:
+            for leftover in folder.glob(".shard-*.tmp"):
+                leftover.unlink(missing_ok=True)
+    return report
+
+
+def build_shard(job: Job, folder: Path, shard: int, on_scene: Callable[[], None] | None = None) -> ShardReport:
+    """Simulate, render and write one shard; `on_scene` is called after each scene."""
+    numbers = job.config.scenes_of_shard(shard)
+    renderer, redone = SceneRenderer(job), 0
+    frames = len(numbers) * job.config.views
+    with ShardWriter(folder / shard_name(shard), job.header(), frames, job.config.compression) as writer:
+        for number in numbers:
+            scene, attempts = simulate_scene(job, number)
+            redone += attempts - 1
+            for view in renderer.views(scene):
+                writer.append(view)
+            (on_scene or _count_scene)()
+    return ShardReport(shard, len(numbers), redone)
+
+
+def _claim(folder: Path, job: Job) -> None:
+    """Name the dataset in the folder before any shard, so that no other config can be mixed in.
+
+    Raises:
+        InputError: the folder belongs to another dataset, or to an unknown one.
+    """
+    header = job.header()
+    if (folder / DATASET_FILE).exists():
+        difference = _first_difference(read_dataset_file(folder)["config"], header.config)
+        if difference is not None:
+            raise InputError(
+                f"{folder}: holds a dataset of another configuration ({difference}); choose another folder with -o, "
+                "or repeat the command that it was built with."
+            )
+        return
+    if any(folder.glob("shard-*.h5")):
+        raise InputError(f"{folder}: holds shards but no {DATASET_FILE}; choose another folder with -o.")
+    shards = [
+        {"name": shard_name(shard), "scenes": [numbers.start, numbers.stop]}
+        for shard in range(job.config.shards)
+        for numbers in [job.config.scenes_of_shard(shard)]
+    ]
+    write_dataset_file(folder, header, shards)
+
+
+def _first_difference(theirs: Any, ours: Any, name: str = "") -> str | None:
+    """The first entry in which two JSON documents differ, in words; None if there is none."""
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        for key in sorted({*theirs, *ours}):
+            found = _first_difference(theirs.get(key), ours.get(key), f"{name}.{key}" if name else key)
+            if found is not None:
+                return found
+        return None
+    return None if theirs == ours else f"{name} is {theirs} there and {ours} here"
+
+
+def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
+    missing = []
+    for shard in range(job.config.shards):
+        path = folder / shard_name(shard)
+        if not path.exists():
+            missing.append(shard)
+        elif _is_intact(path, job):
+            report.kept += 1
+        else:
+            report.damaged.append(path.name)
+            missing.append(shard)
+    return missing
+
+
+def _is_intact(path: Path, job: Job) -> bool:
+    if checksum_problem(path) is not None:
+        return False
+    try:
+        with ShardReader(path) as reader:
+            return bool(reader.header.config == job.header().config)
+    except InputError:
+        return False
+
+
+def _build_shards(job: Job, folder: Path, shards: list[int], workers: int, report: BuildReport, bar: tqdm[Any]) -> None:
+    """Run the tasks on local processes; those that a dying worker took along are handed to a new pool."""
+    remaining = set(shards)
+    while remaining:
+        try:
+            with _local_pool(min(workers, len(remaining)), bar) as executor:
+                for finished in _run(executor, job, folder, sorted(remaining)):
+                    remaining.discard(finished.shard)
+                    report.written.append(finished)
+        except BrokenProcessPool:
+            report.broken_pools += 1
+            if report.broken_pools > MAX_BROKEN_POOLS:
+                raise InputError(
+                    "worker processes keep being killed, most likely for lack of memory; "
+                    "run the same command again with fewer --workers."
+                ) from None
+        bar.n = bar.total - sum(len(job.config.scenes_of_shard(shard)) for shard in remaining)
+        bar.refresh()
+
+
+def _run(executor: Executor, job: Job, folder: Path, shards: list[int]) -> Iterator[ShardReport]:
+    """Any executor of `concurrent.futures` will do."""
+    futures: list[Future[ShardReport]] = [executor.submit(build_shard, job, folder, shard) for shard in shards]
+    for future in as_completed(futures):
+        yield future.result()
+
+
+@contextlib.contextmanager
+def _local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
+    """Worker processes that count scenes into the bar, and that end at once when this process is told to stop."""
+    context = multiprocessing.get_context("spawn")
+    counter = context.Value("q", 0)
+    executor = ProcessPoolExecutor(workers, context, _start_worker, (counter,))
+    start, stop = bar.n, threading.Event()
+    thread = threading.Thread(target=_show, args=(bar, start, counter, stop), daemon=True)
+    thread.start()
+    try:
+        yield executor
+        executor.shutdown()
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _show(bar: tqdm[Any], start: int, counter: Any, stop: threading.Event) -> None:
+    while not stop.wait(POLL_SECONDS):
+        bar.update(start + counter.value - bar.n)
+
+
+_scenes_done: Any = None
+
+
+def _start_worker(counter: Any) -> None:
+    """Leave Ctrl-C to the parent, and do not outlive it: an orphan would go on writing into the folder."""
+    global _scenes_done
+    _scenes_done = counter
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+def _count_scene() -> None:
+    if _scenes_done is not None:
+        with _scenes_done.get_lock():
+            _scenes_done.value += 1
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock, which the system drops when this process ends, however it ends."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                f"{folder}: another 'simgen build' is at work in this folder; wait for it or choose another with -o."
+            ) from None
+        yield
+    finally:
+        os.close(handle)

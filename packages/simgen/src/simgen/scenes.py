@@ -1,0 +1,124 @@
+"""One scene, in two stages that need nothing of each other but the poses: simulate, then render."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+
+import numpy as np
+from evalkit.errors import InputError
+from evalkit.objects import ObjectModel
+from evalkit.scene import Scene, View
+from evalkit.shards import ShardHeader
+
+from simgen.bin import bin_mesh, fitting_bin, ground_half_side
+from simgen.config import BinSize, BuildConfig
+from simgen.labels import label_instances, quantised
+from simgen.meshes import PreparedObject
+from simgen.physics import Body, simulate_pile
+from simgen.rasterizer import Rasterizer
+from simgen.viewpoints import distance_range, draw_viewpoints
+
+DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
+STEPS_PER_DIAMETER = 500
+STEPS = np.iinfo(np.uint16).max
+SOFTWARE = ("binpose-simgen", "binpose-evalkit", "pybullet", "numpy", "numba", "h5py", "hdf5plugin")
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """All that the bytes of a dataset depend on. Make it with :func:`plan`."""
+
+    config: BuildConfig
+    bin: BinSize
+    object: PreparedObject
+    depth_unit: float
+
+    @property
+    def model(self) -> ObjectModel:
+        return self.object.model
+
+    def header(self) -> ShardHeader:
+        config = self.config.to_json() | {"object_sha256": _fingerprint(self.object)}
+        software = {name: version(name) for name in SOFTWARE}
+        return ShardHeader(self.config.camera, self.depth_unit, self.model, config, self.config.seed, software)
+
+
+def plan(config: BuildConfig, prepared: PreparedObject) -> Job:
+    """Settle what depends on the object's size: the bin, where it is automatic, and the depth unit.
+
+    Raises:
+        InputError: the object is larger than the bin.
+    """
+    diameter = prepared.model.diameter
+    size = config.bin or fitting_bin(diameter, config.instances_max)
+    if min(size.width, size.depth) < diameter:
+        raise InputError(
+            f"--bin {size}: the object '{prepared.model.name}' is {diameter:g} m across; "
+            "give a bin whose width and depth are larger, in metres, or --bin auto."
+        )
+    _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
+    unit = depth_unit_for(farthest + math.sqrt(2) * ground_half_side(size), diameter)
+    return Job(replace(config, bin=size), size, prepared, unit)
+
+
+def depth_unit_for(farthest: float, diameter: float) -> float:
+    """Metres a step: 0.1 mm, or the power of ten that reaches `farthest` in 16 bits where 0.1 mm is too fine or coarse.
+
+    Raises:
+        InputError: the camera stands so far off that 16 bits cannot resolve the object.
+    """
+    if farthest <= STEPS * DEPTH_UNIT and diameter >= STEPS_PER_DIAMETER * DEPTH_UNIT:
+        return DEPTH_UNIT
+    return float(f"1e{math.ceil(math.log10(farthest / STEPS))}")
+
+
+def simulate_scene(job: Job, index: int) -> tuple[Scene, int]:
+    """Scene number `index`, its instances at rest and its cameras placed; and how many drops it took."""
+    config, diameter = job.config, job.model.diameter
+    body = Body.from_parts(job.object.convex_parts, config.physics.simulated_diameter)
+    instances = (config.instances_min, config.instances_max)
+    pile = simulate_pile(body, job.bin, instances, config.physics, config.seed, index)
+    cam_from_world = draw_viewpoints(
+        config.viewpoints, config.camera, job.bin, diameter, config.seed, index, config.views
+    )
+    return Scene(index, pile.world_from_obj, cam_from_world), pile.attempts
+
+
+class SceneRenderer:
+    """Turns scenes into labelled views; needs no physics."""
+
+    def __init__(self, job: Job) -> None:
+        if job.model.vertices is None or job.model.faces is None:
+            raise InputError(f"object '{job.model.name}' has no mesh; rendering needs one.")
+        self._camera, self._unit, self._model = job.config.camera, job.depth_unit, job.model
+        self._rasterizer = Rasterizer(self._camera, job.model.vertices, job.model.faces, bin_mesh(job.bin))
+
+    def views(self, scene: Scene) -> Iterator[View]:
+        """The scene's frames, one for each of its cameras."""
+        for view, cam_from_world in enumerate(scene.cam_from_world):
+            cam_from_obj = cam_from_world @ scene.world_from_obj
+            rendering = self._rasterizer.render(cam_from_obj, cam_from_world)
+            depth = quantised(rendering.depth, self._unit)
+            yield View(
+                camera=self._camera,
+                depth_raw=depth,
+                depth_unit=self._unit,
+                instance_id=rendering.instance_id,
+                cam_from_world=cam_from_world,
+                instances=label_instances(rendering, depth, cam_from_obj, self._model, self._camera),
+                scene_index=scene.index,
+                view_index=view,
+            )
+
+
+def _fingerprint(prepared: PreparedObject) -> str:
+    """SHA-256 of the geometry that is drawn and of the hulls that fall."""
+    digest = hashlib.sha256()
+    meshes = [(prepared.model.vertices, prepared.model.faces), *prepared.convex_parts]
+    for array in (array for mesh in meshes for array in mesh):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
