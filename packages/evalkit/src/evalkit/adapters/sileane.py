@@ -1,0 +1,206 @@
+"""The Siléane dataset's files (Brégier et al. 2017), as its evaluation toolbox reads them.
+
+``poseutils.json`` describes the object, ``gt/SCENE.json`` lists ``{"R", "t", "occlusion_rate"}`` and
+``results/SCENE.json`` lists ``{"R", "t", "score"}``. Their poses are world_from_obj in metres; with
+``camera_params.txt`` at hand they become cam_from_obj, without they stay and the document says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit import poses
+from evalkit.camera import Camera
+from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions, load_json, parse_rows
+from evalkit.errors import InputError
+from evalkit.objects import SAMPLE_POINTS, THRESHOLD_RATIO, ObjectModel, sample_surface
+from evalkit.symmetry import Symmetry
+
+Array = NDArray[np.float64]
+CAMERA_FILE = "camera_params.txt"
+
+
+def read_ground_truth(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> GroundTruth:
+    """Read FOLDER/poseutils.json and FOLDER/gt/*.json; visibility is 1 - occlusion_rate.
+
+    Raises:
+        InputError: a file is missing or is not what it should be.
+    """
+    model = read_object(folder, object_name)
+    view = _view(folder, camera_params)
+    camera, cam_from_world = (None, np.eye(4)) if view is None else view
+    images = []
+    for path in _scene_files(folder / "gt"):
+        world_from_obj, occlusion = parse_rows(load_json(path), "occlusion_rate", str(path))
+        images.append(GroundTruthImage(path.stem, camera, cam_from_world @ world_from_obj, 1.0 - occlusion))
+    return GroundTruth(model, images, _frame(view), str(folder))
+
+
+def read_predictions(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> Predictions:
+    """Read the result files FOLDER/*.json; the object is named as the folder above, where poseutils.json lies.
+
+    Raises:
+        InputError: there is no result file, or one is not what it should be.
+    """
+    view = _view(folder.resolve().parent, camera_params)
+    cam_from_world = np.eye(4) if view is None else view[1]
+    images = []
+    for path in _scene_files(folder):
+        world_from_obj, score = parse_rows(load_json(path), "score", str(path))
+        images.append(PredictionImage(path.stem, cam_from_world @ world_from_obj, score))
+    return Predictions(object_name or folder.resolve().parent.name, images, _frame(view), str(folder))
+
+
+def read_object(folder: Path, name: str | None = None) -> ObjectModel:
+    """Read FOLDER/poseutils.json, and the surface from mesh.obj where that lies beside it.
+
+    Raises:
+        InputError: a field is missing or wrong, or the type of symmetry is not known.
+    """
+    path = folder / "poseutils.json"
+    document = load_json(path)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected an object with 'type', 'Rref2i', 'tref2i', 'distance_threshold'.")
+    threshold = float(_numbers(path, document, "distance_threshold", ()))
+    if threshold <= 0:
+        raise InputError(f"{path}: the field 'distance_threshold' must be positive metres.")
+    turn, shift = _numbers(path, document, "Rref2i", (3, 3)), _numbers(path, document, "tref2i", (3,))
+    if not poses.is_rotation(turn, 5e-3):
+        raise InputError(f"{path}: the field 'Rref2i' is not a rotation.")
+    inertial_from_obj = poses.from_rotation_translation(poses.nearest_rotation(turn), shift)
+    symmetry = _symmetry(path, document).rotated(inertial_from_obj[:3, :3].T)
+    model = ObjectModel(
+        name=name or folder.resolve().name,
+        diameter=threshold / THRESHOLD_RATIO,
+        centroid=poses.invert(inertial_from_obj)[:3, 3],
+        inertial_from_obj=inertial_from_obj,
+        lam=_lambda(path, document, symmetry),
+        symmetry=symmetry,
+        threshold=threshold,
+        notes={"source": "Siléane poseutils.json"},
+    )
+    mesh = folder / "mesh.obj"
+    return _with_surface(model, mesh) if mesh.is_file() else model
+
+
+def read_camera_params(path: Path) -> tuple[Camera, Array]:
+    """Read camera_params.txt: the camera and cam_from_world (4, 4).
+
+    Raises:
+        InputError: a field is missing or not a number.
+    """
+    lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
+    fields = {words[0]: words[1:] for words in lines if words}
+
+    def read(key: str, count: int) -> Array:
+        try:
+            values = np.array([float(word) for word in fields[key]])
+        except (KeyError, ValueError):
+            values = np.zeros(0)
+        if values.shape != (count,) or not np.isfinite(values).all():
+            raise InputError(f"{path}: the line '{key}' must hold {count} finite number(s).")
+        return values
+
+    quaternion_wxyz = read("rotation", 4)
+    if abs(np.linalg.norm(quaternion_wxyz) - 1.0) > 1e-2:
+        raise InputError(f"{path}: the line 'rotation' must be a unit quaternion w x y z.")
+    world_from_cam = poses.from_rotation_translation(
+        poses.from_quaternion_xyzw(np.roll(quaternion_wxyz, -1)), read("location", 3)
+    )
+    width, height, fx, fy, cx, cy = (float(read(key, 1)[0]) for key in ("width", "height", "fu", "fv", "cu", "cv"))
+    return Camera(int(width), int(height), fx, fy, cx, cy), poses.invert(world_from_cam)
+
+
+def read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (V, 3) and triangles (F, 3) of a Wavefront OBJ file; polygons become fans.
+
+    Raises:
+        InputError: it has no faces, or a line cannot be read.
+    """
+    vertices, faces = [], []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        kind, *words = line.split() or [""]
+        try:
+            if kind == "v":
+                vertices.append([float(word) for word in words[:3]])
+            elif kind == "f":
+                corner = [int(word.split("/")[0]) for word in words]
+                faces += [[corner[0], b, c] for b, c in pairwise(corner[1:])]
+        except ValueError:
+            raise InputError(f"{path}: the line '{line[:40]}' is not Wavefront OBJ.") from None
+    triangles = np.array(faces, np.int32).reshape(-1, 3)
+    triangles = np.where(triangles > 0, triangles - 1, triangles + len(vertices))
+    corners_known = len(triangles) and triangles.min() >= 0 and triangles.max() < len(vertices)
+    if not corners_known or any(len(vertex) != 3 for vertex in vertices):
+        raise InputError(f"{path}: the mesh has no faces, or they name vertices that it lacks.")
+    return np.array(vertices), triangles
+
+
+def _symmetry(path: Path, document: dict[str, Any]) -> Symmetry:
+    """The proper symmetry group, in the inertial frame, where a revolution's axis is z."""
+    kind = str(document.get("type", ""))
+    lowered = kind.lower()
+    if "spher" in lowered:
+        return Symmetry.parse("sphere")
+    if "revolution" in lowered:
+        return Symmetry.parse("revolution-flip" if _has_flip(path, document) else "revolution")
+    if "affine" in lowered or "G" in document:
+        try:
+            return Symmetry.from_rotations(_numbers(path, document, "G", (-1, 3, 3)))
+        except InputError as error:
+            raise InputError(f"{path}: the field 'G': {error}") from None
+    raise InputError(f"{path}: the type '{kind[:40]}' is not known; it must be affine, revolution or spherical.")
+
+
+def _has_flip(path: Path, document: dict[str, Any]) -> bool:
+    for key, value in document.items():
+        if isinstance(value, bool) and any(word in key.lower() for word in ("flip", "rotoreflection")):
+            return value
+    raise InputError(f'{path}: a revolution must say whether the flip is a symmetry; add "isFlip": true or false.')
+
+
+def _lambda(path: Path, document: dict[str, Any], symmetry: Symmetry) -> Array:
+    """Lambda (3, 3) in the inertial frame; of a revolution's one number, a matrix that has that `revolution_scale`."""
+    if symmetry.kind == "sphere":
+        return np.eye(3)  # takes no part in the distance
+    scalar = document.get("lambda", document.get("Lambda"))
+    if symmetry.kind == "revolution" and isinstance(scalar, int | float):
+        return float(_numbers(path, {"lambda": scalar}, "lambda", ())) / np.sqrt(2.0) * np.eye(3)
+    return _numbers(path, document, "Lambda", (3, 3))
+
+
+def _numbers(path: Path, document: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
+    try:
+        array = np.array(document[key], dtype=float).reshape(shape)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: the field '{key}' is missing or does not hold numbers of shape {shape}.") from None
+    if not np.isfinite(array).all():
+        raise InputError(f"{path}: the field '{key}' holds a number that is not finite.")
+    return array
+
+
+def _with_surface(model: ObjectModel, mesh: Path) -> ObjectModel:
+    vertices, faces = read_obj(mesh)
+    return replace(model, vertices=vertices, faces=faces, points=sample_surface(vertices, faces, SAMPLE_POINTS))
+
+
+def _view(folder: Path, camera_params: Path | None) -> tuple[Camera, Array] | None:
+    path = camera_params or folder / CAMERA_FILE
+    return read_camera_params(path) if camera_params is not None or path.is_file() else None
+
+
+def _frame(view: tuple[Camera, Array] | None) -> str:
+    return "world" if view is None else "camera"
+
+
+def _scene_files(folder: Path) -> list[Path]:
+    found = sorted(folder.glob("*.json"))
+    if not found:
+        raise InputError(f"{folder}: the folder holds no scene files (*.json); check the path.")
+    return found

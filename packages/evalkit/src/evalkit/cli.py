@@ -1,0 +1,135 @@
+"""The `evalkit` command. What takes long to import is imported where it is needed: `evalkit ap` answers in a blink."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from evalkit import documents
+from evalkit.atomic import sha256_of_file, write_json
+from evalkit.command import Commands
+from evalkit.distances import CRITERIA
+from evalkit.evaluation import PROTOCOLS, Result, average_precision
+from evalkit.objects import THRESHOLD_RATIO
+
+FILE = click.Path(path_type=Path)
+NAMES_LISTED = 3
+
+
+@click.group(cls=Commands)
+@click.version_option(package_name="binpose-evalkit")
+def main() -> None:
+    """How good are 6D pose predictions? AP of poses in crowds, by rules that are stated."""
+
+
+def evaluation_options(command: Any) -> Any:
+    """The options that settle the rules of an evaluation."""
+    options = [
+        click.option("--criterion", type=click.Choice(CRITERIA), default="sym", show_default=True),
+        click.option("--protocol", type=click.Choice(PROTOCOLS), default="sileane", show_default=True),
+        click.option("--min-visibility", default=0.5, show_default=True, help="Find instances at least this visible."),
+        click.option(
+            "--threshold",
+            default=THRESHOLD_RATIO,
+            show_default=True,
+            help="A pose is right within this many diameters.",
+        ),
+        click.option("--max-results", type=int, help="Of each image, only this many best hypotheses count."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@main.command()
+@click.argument("preds", type=FILE)
+@click.argument("gt", type=FILE)
+@evaluation_options
+@click.option("--json", "json_path", type=FILE, help="Write all figures, the rules and the curve here.")
+@click.option("--plot", "plot_path", type=FILE, help="Draw the precision-recall curve here (PNG, SVG or PDF).")
+def ap(preds: Path, gt: Path, json_path: Path | None, plot_path: Path | None, **rules: Any) -> None:
+    """Average precision of PREDS (preds.json) against GT (gt.json)."""
+    result = average_precision(documents.read_predictions(preds), documents.read_ground_truth(gt), **rules)
+    if json_path is not None:
+        inputs = {
+            "predictions": {"file": preds.name, "sha256": sha256_of_file(preds)},
+            "ground_truth": {"file": gt.name, "sha256": sha256_of_file(gt)},
+        }
+        write_json(json_path, {**result.to_json(), "inputs": inputs}, indent=1)
+    if plot_path is not None:
+        from evalkit.plots import save_precision_recall
+
+        save_precision_recall(result, plot_path)
+    click.echo(summary(result))
+
+
+@main.command()
+@click.argument("source", type=FILE)
+@click.option("--from", "kind", type=click.Choice(["shards", "sileane"]), default="shards", show_default=True)
+@click.option("-o", "--output", type=FILE, required=True, help="The gt.json to write.")
+@click.option("--object", "object_name", help="The object's name, where the source does not say it.")
+@click.option("--camera-params", type=FILE, help="Siléane's camera_params.txt, where it is not beside gt/.")
+def gt(source: Path, kind: str, output: Path, object_name: str | None, camera_params: Path | None) -> None:
+    """Write the ground truth of SOURCE (a folder) as gt.json."""
+    if kind == "shards":
+        from evalkit.ground_truth import from_shards
+
+        truth = from_shards(source)
+    else:
+        from evalkit.adapters import sileane
+
+        truth = sileane.read_ground_truth(source, object_name, camera_params)
+    documents.write_ground_truth(output, truth)
+    instances = sum(len(image.visibility) for image in truth.images)
+    click.echo(
+        f"{output}: {len(truth.images)} images, {instances} instances of {truth.object.name}, {truth.frame} frame"
+    )
+
+
+@main.command()
+@click.argument("source", type=FILE)
+@click.option("--from", "kind", type=click.Choice(["sileane"]), required=True)
+@click.option("-o", "--output", type=FILE, required=True, help="The preds.json to write.")
+@click.option("--object", "object_name", help="The object's name, where the source does not say it.")
+@click.option("--camera-params", type=FILE, help="Siléane's camera_params.txt, where it is not beside the results.")
+def preds(source: Path, kind: str, output: Path, object_name: str | None, camera_params: Path | None) -> None:
+    """Write somebody's results in SOURCE (a folder) as preds.json."""
+    from evalkit.adapters import sileane
+
+    predictions = sileane.read_predictions(source, object_name, camera_params)
+    documents.write_predictions(output, predictions)
+    hypotheses = sum(len(image.score) for image in predictions.images)
+    click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
+
+
+def summary(result: Result) -> str:
+    """The figures as a small table, the rules in words below."""
+    counts = result.counts
+    lines = [
+        f"AP                  {result.ap:.4f}",
+        f"MAP                 {result.map:.4f}",
+        f"best F1             {result.best_f1:.4f}",
+        f"recall at P = 0.99  {result.recall_at_precision_99:.4f}",
+        f"recall at P = 0.50  {result.recall_at_precision_50:.4f}",
+        "",
+        f"images              {counts['images']}{_missing(result.missing_images)}",
+        f"instances           {counts['instances']}, of them {counts['instances_to_find']} to find",
+        f"hypotheses          {counts['hypotheses']}: {counts['true']} true, {counts['false']} false "
+        f"({counts['duplicates']} of them duplicates), {counts['ignored']} ignored",
+        "",
+        result.protocol,
+    ]
+    return "\n".join(lines)
+
+
+def _missing(names: list[str]) -> str:
+    if not names:
+        return ""
+    listed = ", ".join(names[:NAMES_LISTED]) + (" …" if len(names) > NAMES_LISTED else "")
+    return f", of them {len(names)} without predictions ({listed})"
+
+
+if __name__ == "__main__":
+    main()

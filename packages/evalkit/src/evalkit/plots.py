@@ -1,0 +1,69 @@
+"""Curves, drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from evalkit.atomic import atomic_path
+from evalkit.evaluation import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LINE, FILL, INK = "#1f5fa8", "#1f5fa822", "#444444"
+
+
+def draw_precision_recall(axes: Axes, result: Result) -> None:
+    """The curve as the steps that its area is measured under, with AP and the point of the best F1."""
+    curve = result.curve
+    recall, precision = np.r_[0.0, curve.recall], np.r_[curve.precision[:1], curve.precision]
+    axes.step(recall, precision, where="pre", color=LINE, linewidth=1.8)
+    axes.fill_between(recall, precision, step="pre", color=FILL, linewidth=0)
+    best = int(curve.f1.argmax())
+    axes.plot(curve.recall[best], curve.precision[best], "o", color=LINE, markersize=6, markeredgecolor="white")
+    axes.annotate(
+        f"best F1 {result.best_f1:.3f}",
+        (curve.recall[best], curve.precision[best]),
+        xytext=(-8, -14),
+        textcoords="offset points",
+        ha="right",
+        color=INK,
+    )
+    axes.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
+    axes.set_title(f"{title(result)}", loc="left", color=INK)
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def title(result: Result) -> str:
+    """One line: the figure and the rules it follows."""
+    settings = result.settings
+    return (
+        f"AP {result.ap:.3f}   {settings.criterion.upper()} ≤ {settings.threshold:g} d, "
+        f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
+    )
+
+
+def save_precision_recall(result: Result, path: Path | str) -> None:
+    """Write the curve as PNG, or as what the suffix says."""
+    figure = new_figure(6.4, 5.0)
+    draw_precision_recall(figure.add_subplot(), result)
+    save(figure, path)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure that needs no display, in inches."""
+    from matplotlib.figure import Figure  # slow to import, and most commands draw nothing
+
+    return Figure(figsize=(width, height), layout="constrained", dpi=150)
+
+
+def save(figure: Figure, path: Path | str) -> None:
+    """Write a figure atomically; its suffix names the format, PNG without one."""
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format=Path(path).suffix.lstrip(".").lower() or "png", metadata={})
