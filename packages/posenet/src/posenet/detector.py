@@ -1,0 +1,38 @@
+"""What any detector of the network is: features in; losses, or scored boxes, out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+from torch import Tensor, nn
+
+
+class Detections(NamedTuple):
+    """Scored boxes of one image, best first."""
+
+    boxes: Tensor  # (K, 4) x0, y0, x1, y1 in pixels of the input image
+    scores: Tensor  # (K,) probability that the box holds an instance
+
+
+class Detector(nn.Module, ABC):
+    """Finds the boxes of instances of the one object that the network knows.
+
+    `forward` gives raw outputs, of a type of the detector's own, that `losses` and `detect` take. An *ignored* box is
+    an instance too hidden to be asked for: finding it is neither rewarded nor punished.
+    """
+
+    @abstractmethod
+    def forward(self, features: Tensor, image_size: tuple[int, int]) -> Any:
+        """Raw outputs from features (B, C, h, w) of images of `image_size` (height, width)."""
+
+    @abstractmethod
+    def losses(self, raw: Any, targets: list[Tensor], ignore: list[Tensor]) -> dict[str, Tensor]:
+        """Named scalars whose sum is to be minimised; per image boxes (n, 4) to find and boxes (m, 4) to ignore.
+
+        Images without any instance are taken. Every parameter takes part, if only with a gradient of zero.
+        """
+
+    @abstractmethod
+    def detect(self, raw: Any) -> list[Detections]:
+        """What is found in each image; without gradient."""
