@@ -155,8 +155,16 @@ def surface_moments(vertices: ArrayLike, faces: ArrayLike) -> tuple[float, Array
 
 def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, seed: int = 0) -> Array:
     """`count` points (count, 3), uniform over the surface; the same for the same mesh and seed."""
+    return sample_surface_with_normals(vertices, faces, count, seed)[0]
+
+
+def sample_surface_with_normals(
+    vertices: ArrayLike, faces: ArrayLike, count: int, seed: int = 0
+) -> tuple[Array, Array]:
+    """The points (count, 3) of :func:`sample_surface` and the unit normals (count, 3) of the faces they lie on."""
     corners = np.asarray(vertices, float)[np.asarray(faces)]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
     rng = np.random.default_rng(seed)
     cumulative = np.cumsum(areas)
     strata = (np.arange(count) + rng.random(count)) / count * cumulative[-1]
@@ -165,7 +173,8 @@ def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, seed: int 
     outside = a + b > 1
     a, b = np.where(outside, 1 - a, a), np.where(outside, 1 - b, b)
     chosen = corners[face]
-    return np.asarray(chosen[:, 0] + a * (chosen[:, 1] - chosen[:, 0]) + b * (chosen[:, 2] - chosen[:, 0]))
+    points = chosen[:, 0] + a * (chosen[:, 1] - chosen[:, 0]) + b * (chosen[:, 2] - chosen[:, 0])
+    return points, normals[face] / areas[face, None]
 
 
 def _numbers(document: dict[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:

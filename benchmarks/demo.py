@@ -1,0 +1,77 @@
+"""The whole pipeline on the built-in bunny, as a user types it: mesh, piles, training, poses, AP and pictures.
+
+Training gets what is left of a quarter of an hour. Stopped and started again, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+BUDGET_MINUTES = 14.0
+AFTER_TRAINING_MINUTES = 0.8  # prediction, scoring and pictures
+TEST_SEED = 1000
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--object", default="bunny", help="mesh file or built-in object")
+    arguments.add_argument("--out", type=Path, default=Path("demo"))
+    arguments.add_argument("--budget", type=float, default=BUDGET_MINUTES, help="minutes for everything")
+    options = arguments.parse_args()
+    try:
+        return demo(options.object, options.out, options.budget)
+    except subprocess.CalledProcessError as error:
+        print(f"\nStopped in: {' '.join(map(str, error.cmd))}", file=sys.stderr)
+        return int(error.returncode) or 1
+    except KeyboardInterrupt:
+        print("\nInterrupted; `make demo` goes on where it was.", file=sys.stderr)
+        return 130
+
+
+def demo(mesh: str, out: Path, budget: float) -> int:
+    started = time.monotonic()
+    train, test, run = out / "train", out / "test", out / "run"
+    _run("1/6 training scenes", "simgen", "build", "--object", mesh, "--preset", "demo", "-o", train)
+    _run("2/6 test scenes, of another seed", "simgen", "build", "--object", mesh, "--preset", "demo",
+         "--scenes", 40, "--views", 2, "--seed", TEST_SEED, "-o", test)  # fmt: skip
+    spent = (time.monotonic() - started) / 60
+    minutes = _planned_minutes(run) or round(max(budget - spent - AFTER_TRAINING_MINUTES, 1.0), 2)
+    _run(f"3/6 training for {minutes:g} minutes", "posenet", "fit", train, "--preset", "small", "--minutes", minutes,
+         "-o", run)  # fmt: skip
+    _run("4/6 poses on the test scenes", "posenet", "predict", run, test, "-o", out / "preds.json")
+    _run("5/6 score", "evalkit", "gt", test, "-o", out / "gt.json")
+    _run("", "evalkit", "ap", out / "preds.json", out / "gt.json", "--json", out / "ap.json", "--plot", out / "pr.png")
+    _run("6/6 picture", "evalkit", "picture", out / "preds.json", out / "gt.json", "--shards", test,
+         "-o", out / "picture.png")  # fmt: skip
+    result = json.loads((out / "ap.json").read_text())
+    print(f"\nAP {result['ap']:.3f} on {result['counts']['images']} images of scenes never trained on")
+    print(f"Protocol: {result['protocol']}")
+    print(f"Pictures: {out / 'picture.png'}, {out / 'pr.png'}")
+    print(f"Model:    {run / 'model.pt'} (try: posenet info {run})")
+    print(f"Took {(time.monotonic() - started) / 60:.1f} minutes, {minutes:g} of them training.")
+    return 0
+
+
+def _planned_minutes(run: Path) -> float | None:
+    """The training minutes of a demo that was stopped, so that it resumes."""
+    file = run / "run.json"
+    return float(json.loads(file.read_text())["minutes"]) if file.exists() else None
+
+
+def _run(title: str, command: str, *arguments: object) -> None:
+    """Run one of our commands as a user would, and show it."""
+    if title:
+        print(f"\n=== {title}")
+    words = [command, *map(str, arguments)]
+    print(f"$ {' '.join(words)}", flush=True)
+    executable = Path(sys.executable).with_name(command)
+    subprocess.run([str(executable), *words[1:]], check=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

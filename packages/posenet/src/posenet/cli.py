@@ -1,0 +1,135 @@
+"""`posenet fit`, `posenet predict`, `posenet info`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from evalkit.command import Commands
+from posenet.config import PRESETS, Config, preset, with_options
+
+
+@click.group(cls=Commands)
+@click.version_option(package_name="binpose-posenet")
+def main() -> None:
+    """Train on shards and predict the 6D poses of objects in crowds."""
+
+
+@main.command()
+@click.argument("shards", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/OBJECT-PRESET]")
+@click.option("--preset", "preset_name", type=click.Choice(list(PRESETS)), default="small", show_default=True)
+@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Train for so long.")
+@click.option("--epochs", type=click.IntRange(min=1), help="Train for so many passes over the shards.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Peak learning rate.")
+@click.option("--batch-images", type=click.IntRange(min=1), help="Images a step.")
+@click.option("--validation/--no-validation", default=True, help="Hold scenes out and keep the best model by their AP.")
+@click.option("--offset/--no-offset", default=None, help="Without: the box centre stands in for the centre.")
+@click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
+@click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
+@click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
+@click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
+def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options: Any) -> None:
+    """Train a network on SHARDS: a folder that `simgen build` wrote, or shard files.
+
+    Run the same command again to resume a run that was stopped.
+    """
+    if options["minutes"] is not None and options["epochs"] is not None:
+        raise click.UsageError("Give --minutes or --epochs, not both.")
+    from posenet.dataset import Frames
+    from posenet.train import FitOptions
+    from posenet.train import fit as train
+
+    if out is None:
+        out = Path("runs") / f"{Frames(list(shards)).model.name}-{preset_name}"
+    run = train(
+        FitOptions(
+            shards=list(shards),
+            out=out,
+            config=_configured(preset_name, options),
+            minutes=options["minutes"],
+            epochs=options["epochs"],
+            device=options["device"],
+            seed=options["seed"],
+            validate=options["validation"],
+        )
+    )
+    click.echo(_summary(run.path))
+
+
+def _configured(preset_name: str, options: dict[str, Any]) -> Config:
+    config = preset(preset_name)
+    network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation")}
+    config = with_options(config, "network", **network)
+    config = with_options(config, "loss", registration_weights=options["registration_weights"])
+    train = {key: options[key] for key in ("learning_rate", "batch_images")}
+    return with_options(config, "train", **train)
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="preds.json", show_default=True)
+@click.option("--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of a depth image (JSON).")
+@click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
+@click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
+@click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
+@click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
+@click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the shards.")
+@click.option("--device", default="auto", show_default=True)
+def predict(model: Path, source: Path, out: Path, **options: Any) -> None:
+    """Predict poses with MODEL (a model file or a run's folder) on SOURCE: shards, or one depth image."""
+    from posenet.commands import predict_image, predict_shards
+    from posenet.images import SUFFIXES
+
+    action = predict_image if source.suffix.lower() in SUFFIXES else predict_shards
+    click.echo(action(model, source, out, options))
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Everything, as JSON.")
+def info(model: Path, as_json: bool) -> None:
+    """Print what a model was trained on, how long, and how well it validated."""
+    click.echo(_summary(model, as_json))
+
+
+def _summary(model: Path, as_json: bool = False) -> str:
+    from posenet.model_file import load_model
+
+    trained = load_model(model)
+    network, record = trained.network, trained.record
+    if as_json:
+        document = {
+            "config": network.config.to_json(),
+            "object": network.model.to_json(),
+            "camera": network.camera.to_json(),
+            "depth_range": network.depth_range,
+            "record": record,
+        }
+        return json.dumps(document, indent=1)
+    count = sum(p.numel() for p in network.parameters())
+    ap = record.get("validation_ap")
+    camera = network.camera
+    return "\n".join(
+        [
+            f"model       {model}",
+            f"object      {network.model.name}, diameter {network.model.diameter * 1e3:.1f} mm, "
+            f"symmetry {network.model.symmetry.name}",
+            f"preset      {network.config.preset}, {count / 1e6:.2f} M parameters",
+            f"camera      {camera.width} x {camera.height}, fx {camera.fx:.1f}, "
+            f"objects {network.depth_range[0]:.3f} to {network.depth_range[1]:.3f} m away",
+            f"training    {record['minutes']:.1f} minutes, {record['images']} images, seed {record['seed']}",
+            "validation  "
+            + (
+                f"AP {ap:.3f} on {record['validation_images']} images; {record['protocol']}"
+                if ap is not None
+                else "none"
+            ),
+        ]
+    )

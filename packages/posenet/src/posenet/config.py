@@ -1,0 +1,208 @@
+"""What can be chosen, and the three presets. Every choice is an option of one network, not a second network.
+
+`paper` follows Sock et al. (BMVC 2018) to the letter where it is explicit; `small` trains usefully on two CPU cores in
+minutes and differs where a difference was measured to gain; `debug` is for tests and takes seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from evalkit.errors import InputError
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """The architecture: trunk, detector, regions, pose heads, registration."""
+
+    backbone: Literal["vgg16", "vgg_small", "vgg_debug"] = "vgg_small"
+    # Third and second input channel: holes and slant beside depth, or two components of the surface normal.
+    input: Literal["depth-holes", "depth-normals"] = "depth-normals"
+    detector: Literal["rpn", "heatmap"] = "heatmap"
+    # A region is the detected box, or a window of fixed metric side (times the diameter) at the box's median depth.
+    roi: Literal["box", "metric"] = "metric"
+    roi_scale: float = 1.1
+    roi_size: int = 8
+    crop_size: int = 32  # a raw crop of relative depth and normals beside the trunk's features; 0: none
+    fc_width: int = 512
+    dropout: float = 0.0
+    angle_bins: tuple[int, int, int] = (30, 13, 30)  # in-plane a, tilt b, spin c
+    depth_bins: int = 140
+    depth: Literal["absolute", "relative"] = "relative"  # bins over camera distance, or about the region's median
+    depth_margin: float = 0.75  # relative: half range in diameters; absolute: margin beyond the training set's depths
+    orientation: Literal["allocentric", "egocentric"] = "allocentric"
+    interpolate: bool = True  # read a bin's neighbours for a value inside it
+    regress_rotation: bool = True  # a 6D rotation under the Sym loss, offered as one more hypothesis
+    offset: bool = True  # without: the box centre stands in for the projected centre
+    confidence: Literal["product", "learned"] = "learned"  # score of a hypothesis before registration
+    registration: bool = True
+    registration_blocks: int = 4
+    hypotheses: int = 5  # per detection
+    max_detections: int = 64
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of the losses and how labels are made soft."""
+
+    detection: float = 1.0
+    offset: float = 8.0
+    depth: float = 0.7
+    angles: float = 1.0
+    rotation: float = 0.5
+    scoring: float = 0.5
+    offset_norm: Literal["l1", "smooth-l1"] = "smooth-l1"
+    angle_sigma: float = 0.6  # bins; 0: one-hot labels
+    depth_sigma: float = 1.2  # bins; 0: one-hot labels
+    registration_weights: Literal["paper", "balanced"] = "balanced"
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """The schedule."""
+
+    batch_images: int = 8
+    rois_per_image: int = 8
+    optimizer: Literal["adam", "adamw"] = "adamw"
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-2
+    schedule: Literal["one-cycle", "constant"] = "one-cycle"
+    warmup: float = 0.08  # share of the run until the peak of the one-cycle
+    clip_gradient: float = 20.0
+    min_visibility: float = 0.2  # instances seen less than this do not train
+    box_jitter: float = 0.08  # of a box's side, uniform
+    scoring_images: int = 2  # images of a batch that train confidence and registration
+    scoring_start: float = 0.25  # share of the run after which they do
+    validation_share: float = 0.05  # of the scenes
+    validation_images: int = 48
+    validations: int = 4
+    epochs: int = 20  # when neither --epochs nor --minutes is given
+    precision: Literal["auto", "32", "bf16"] = "auto"
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that decides what a run does, beside its data."""
+
+    preset: str
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+    def to_json(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Any, where: str = "config") -> Config:
+        """Read what :meth:`to_json` writes.
+
+        Raises:
+            InputError: a field is unknown to this version or missing.
+        """
+        try:
+            parts = {name: _section(kind, document[name]) for name, kind in _SECTIONS.items()}
+            return cls(preset=str(document["preset"]), **parts)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{where}: not a configuration of this posenet version ({error}).") from None
+
+
+_SECTIONS = {"network": NetworkConfig, "loss": LossConfig, "train": TrainConfig}
+
+
+def _section(kind: Any, values: dict[str, Any]) -> Any:
+    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+
+
+def small() -> Config:
+    """Two CPU cores, minutes."""
+    return Config("small")
+
+
+def paper() -> Config:
+    """Sock et al. 2018: VGG16, Faster R-CNN, hard bins over absolute depth, Adam 1e-5, joint registration."""
+    return Config(
+        "paper",
+        NetworkConfig(
+            backbone="vgg16",
+            input="depth-holes",
+            detector="rpn",
+            roi="box",
+            roi_size=7,
+            crop_size=0,
+            fc_width=4096,
+            dropout=0.5,
+            depth="absolute",
+            depth_margin=0.05,
+            interpolate=False,
+            regress_rotation=False,
+            confidence="product",
+            registration_blocks=16,
+        ),
+        LossConfig(
+            offset=1.0,
+            depth=1.0,
+            offset_norm="l1",
+            angle_sigma=0.0,
+            depth_sigma=0.0,
+            scoring=1.0,
+            registration_weights="paper",
+        ),
+        TrainConfig(
+            batch_images=1,
+            rois_per_image=32,
+            optimizer="adam",
+            learning_rate=1e-5,
+            weight_decay=0.0,
+            schedule="constant",
+            box_jitter=0.1,
+            scoring_images=1,
+        ),
+    )
+
+
+def debug() -> Config:
+    """Seconds: for tests and for trying a pipeline out."""
+    return Config(
+        "debug",
+        NetworkConfig(backbone="vgg_debug", fc_width=256, registration_blocks=1),
+        train=TrainConfig(batch_images=4, learning_rate=2e-3, box_jitter=0.04, validation_images=8, validations=1),
+    )
+
+
+PRESETS = {"paper": paper, "small": small, "debug": debug}
+
+
+def preset(name: str) -> Config:
+    """The named preset.
+
+    Raises:
+        InputError: there is no preset of that name.
+    """
+    if name not in PRESETS:
+        raise InputError(f"preset '{name}' is not known; use one of {', '.join(PRESETS)}.")
+    return PRESETS[name]()
+
+
+def with_options(config: Config, section: str, **options: Any) -> Config:
+    """`config` with fields of one section ('network', 'loss' or 'train') replaced; options that are None are left.
+
+    Raises:
+        InputError: a value is none of those that the field allows.
+    """
+    chosen = {key: value for key, value in options.items() if value is not None}
+    part = getattr(config, section)
+    hints = {f.name: f for f in dataclasses.fields(part)}
+    for key, value in chosen.items():
+        allowed = get_args(_literal(type(part), hints[key].name))
+        if allowed and value not in allowed:
+            raise InputError(f"option {key.replace('_', '-')}: '{value}' is none of {', '.join(map(str, allowed))}.")
+    return dataclasses.replace(config, **{section: dataclasses.replace(part, **chosen)})
+
+
+def _literal(kind: type, name: str) -> Any:
+    import typing
+
+    hint = typing.get_type_hints(kind)[name]
+    return hint if typing.get_origin(hint) is Literal else None

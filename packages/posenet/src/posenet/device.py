@@ -1,0 +1,33 @@
+"""Where to compute, and whether bf16 is fast there."""
+
+from __future__ import annotations
+
+import torch
+
+from evalkit.errors import InputError
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` is CUDA when there is a GPU, else the CPU.
+
+    Raises:
+        InputError: the device is unknown or absent.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"--device '{name}' is not known; use auto, cpu or cuda.") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: PyTorch sees no GPU here; use --device cpu, or install a CUDA build of torch.")
+    if device.type not in ("cpu", "cuda"):
+        raise InputError(f"--device '{name}' is not supported; use auto, cpu or cuda.")
+    return device
+
+
+def supports_bf16(device: torch.device) -> bool:
+    """Whether the hardware multiplies bf16 itself; emulated, it is slower than float32."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())

@@ -1,0 +1,71 @@
+"""The paper's losses: L = detection + offset + depth + rotation; registration has its own (posenet.registration).
+
+The paper prints its cross-entropy without the minus sign; it is meant, and here.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from posenet.config import LossConfig
+from posenet.pose_codec import PoseCodec, PoseLabels
+from posenet.pose_heads import PoseOutputs
+from posenet.sym_distance import SymDistance
+
+LEAST_ANGLE_WEIGHT = 0.15
+
+
+def pose_losses(
+    outputs: PoseOutputs, labels: PoseLabels, codec: PoseCodec, distance: SymDistance, config: LossConfig
+) -> dict[str, Tensor]:
+    """Unweighted losses of n regions, each a scalar; zero, with a gradient, for n = 0."""
+    if len(labels.depth) == 0:
+        nothing = outputs.offset.sum() + outputs.depth.sum() + sum(angle.sum() for angle in outputs.angles)
+        return {"offset": nothing * 0.0}
+    losses = {"depth": cross_entropy(outputs.depth, codec.depth_bins.labels(labels.depth, config.depth_sigma)).mean()}
+    if codec.config.offset:
+        losses["offset"] = offset_loss(outputs.offset, labels.offset, config.offset_norm)
+    # a and c mean little where the object's z lies along the ray: only their sum (or difference) does.
+    sine = labels.angles[:, 1].sin().clamp(min=LEAST_ANGLE_WEIGHT)
+    for name, logits, bins, angle in zip(
+        "abc", outputs.angles, codec.angle_bins, labels.angles.unbind(-1), strict=True
+    ):
+        if bins.count > 1:
+            loss = cross_entropy(logits, bins.labels(angle, config.angle_sigma))
+            losses[f"angle_{name}"] = loss.mean() if name == "b" else (loss * sine).mean()
+    if codec.config.regress_rotation and codec.estimates_tilt:
+        squared = distance.rotation_squared(outputs.rotation, labels.rotation)
+        losses["rotation"] = (squared + 1e-8).sqrt().mean() / codec.model.threshold
+    return losses
+
+
+def cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
+    """Of logits (n, c) against target distributions (n, c) -> (n,)."""
+    return -(target * logits.log_softmax(-1)).sum(-1)
+
+
+def offset_loss(predicted: Tensor, target: Tensor, norm: str) -> Tensor:
+    """L1 as the paper has it, or smooth L1 that is quadratic below a tenth of the region's side."""
+    if norm == "l1":
+        return F.l1_loss(predicted, target)
+    return F.smooth_l1_loss(predicted, target, beta=0.1)
+
+
+def weight_of(name: str, config: LossConfig) -> float:
+    """The weight of a loss by its name; the parts of one task share that of the task."""
+    task = name.split("_")[0]
+    return {
+        "offset": config.offset,
+        "depth": config.depth,
+        "angle": config.angles,
+        "rotation": config.rotation,
+        "confidence": config.scoring,
+        "registration": config.scoring,
+    }.get(task, config.detection)
+
+
+def total(losses: dict[str, Tensor], config: LossConfig) -> Tensor:
+    """The weighted sum of all losses."""
+    return torch.stack([weight_of(name, config) * loss for name, loss in losses.items()]).sum()

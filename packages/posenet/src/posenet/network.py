@@ -1,0 +1,209 @@
+"""The multi-task network: trunk, detector, regions, pose heads, hypotheses, confidence, joint registration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from evalkit.camera import Camera
+from evalkit.objects import ObjectModel
+from posenet import depth_input, hypotheses, losses, targets
+from posenet.backbone import Backbone, build_backbone
+from posenet.confidence import ConfidenceHead
+from posenet.config import Config, NetworkConfig
+from posenet.detector import Detections, Detector
+from posenet.heatmap_detector import HeatmapDetector
+from posenet.hypotheses import Hypotheses
+from posenet.ops import roi_align
+from posenet.pose_codec import PoseCodec
+from posenet.pose_heads import PoseHeads, PoseOutputs
+from posenet.regions import Regions, make_regions
+from posenet.sym_distance import SymDistance
+from posenet.targets import Batch
+
+
+class ImagePoses(NamedTuple):
+    """What the network says about one image: H hypotheses, best first."""
+
+    rotation: Tensor  # (H, 3, 3) canonical object frame
+    center: Tensor  # (H, 3) metres, centroid in the camera's frame
+    score: Tensor  # (H,) in [0, 1]
+    box: Tensor  # (H, 4) of the detection it comes from
+    detection: Tensor  # (H,) number of that detection
+
+
+class _Scored(NamedTuple):
+    """Hypotheses of one image on their way to a score."""
+
+    hypotheses: Hypotheses
+    logit: Tensor  # (H,) before registration
+    registered: Tensor | None  # (H,) logit after registration
+    boxes: Tensor  # (n, 4) of the detections
+
+
+def build_detector(config: NetworkConfig, backbone: Backbone, object_size: float) -> Detector:
+    """The detector that `config` names; `object_size` is the object's diameter in pixels."""
+    return HeatmapDetector(backbone.channels, backbone.stride, object_size, max_detections=config.max_detections)
+
+
+class PoseNetwork(nn.Module):
+    """One network for one object. `forward` gives the training losses, `predict` the poses.
+
+    Args:
+        config: all choices. model: the object. depth_range: nearest and farthest centroid of the training set, metres.
+        camera: of the training set; the anchors' size follows from it.
+    """
+
+    def __init__(self, config: Config, model: ObjectModel, depth_range: tuple[float, float], camera: Camera) -> None:
+        super().__init__()
+        self.config, self.model, self.camera, self.depth_range = config, model, camera, depth_range
+        net = config.network
+        self.codec = PoseCodec(model, net, depth_range)
+        turn = self.codec.canonical_from_obj[:3, :3]
+        self.distance = SymDistance(model.symmetry.rotated(turn), turn @ model.lam_in_obj @ turn.T)
+        self.backbone = build_backbone(net.backbone, in_channels=3)
+        self.detector = build_detector(config.network, self.backbone, self.object_size)
+        counts = tuple(bins.count for bins in self.codec.angle_bins)
+        self.heads = PoseHeads(self.backbone.channels, counts, net)
+        self.confidence = ConfidenceHead(net.fc_width) if net.confidence == "learned" else None
+        self.registration = JointRegistration(net.registration_blocks) if net.registration else None
+        self.bf16 = False
+
+    @property
+    def object_size(self) -> float:
+        """The object's diameter in pixels at the middle of the training set's depths."""
+        return self.camera.fx * self.model.diameter / (sum(self.depth_range) / 2)
+
+    def main_parameters(self) -> Iterator[nn.Parameter]:
+        """What the multi-task losses train."""
+        return (p for part in (self.backbone, self.detector, self.heads) for p in part.parameters())
+
+    def scoring_parameters(self) -> Iterator[nn.Parameter]:
+        """What is trained on detached features, by an optimiser of its own."""
+        parts = [part for part in (self.confidence, self.registration) if part is not None]
+        return (p for part in parts for p in part.parameters())
+
+    def forward(self, batch: Batch, scoring_images: int = 0) -> dict[str, Tensor]:
+        """Unweighted losses of a training batch; scoring ones too, on its first `scoring_images` images."""
+        features, normals = self._features(batch.depth, batch.intrinsics)
+        image_size = batch.depth.shape[-2:]
+        find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
+        with self._autocast():
+            raw = self.detector(features, image_size)
+        found = self.detector.losses(raw, find, ignore)
+        sample = targets.sample_regions(batch, self.config.train)
+        regions = self._regions(batch.depth, batch.intrinsics, sample.boxes, sample.image_index)
+        regions, poses = regions.select(regions.valid), sample.poses[regions.valid]
+        outputs = self._read(features, normals, batch.depth, regions)
+        labels = self.codec.encode(poses, regions.windows, regions.reference_depth, regions.intrinsics)
+        found |= losses.pose_losses(outputs, labels, self.codec, self.distance, self.config.loss)
+        if scoring_images and (self.confidence or self.registration):
+            few = slice(0, scoring_images)
+            found |= self._scoring_losses(features.detach()[few], normals[few], batch)
+        return found
+
+    @torch.no_grad()
+    def predict(self, depth: Tensor, intrinsics: Tensor) -> list[ImagePoses]:
+        """Poses for images (B, H, W) in metres with intrinsics (B, 4), in eval mode; one entry an image."""
+        features, normals = self._features(depth, intrinsics)
+        return [self._ranked(scored) for scored in self._score(features, normals, depth, intrinsics)]
+
+    @contextmanager
+    def _autocast(self) -> Iterator[None]:
+        """Only layers run in bf16: geometry never does."""
+        device = next(self.parameters()).device.type
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=self.bf16):
+            yield
+
+    def _features(self, depth: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
+        normals = depth_input.surface_normals(depth, intrinsics)
+        image = depth_input.network_input(
+            depth, normals, self.config.network, self.model.diameter, self.depth_range
+        ).contiguous(memory_format=torch.channels_last)
+        with self._autocast():
+            return self.backbone(image), normals
+
+    def _regions(self, depth: Tensor, intrinsics: Tensor, boxes: Tensor, image_index: Tensor) -> Regions:
+        return make_regions(depth, intrinsics, boxes, image_index, self.config.network, self.model.diameter)
+
+    def _read(self, features: Tensor, normals: Tensor, depth: Tensor, regions: Regions) -> PoseOutputs:
+        """Pool the regions' features and crops and run the heads."""
+        net = self.config.network
+        rois = torch.cat([regions.image_index[:, None].to(regions.windows), regions.windows], 1)
+        crops = None
+        if net.crop_size:
+            crops = depth_input.raw_crops(
+                depth, normals, regions.windows, regions.reference_depth, regions.image_index, net.crop_size,
+                self.model.diameter / 2,
+            )  # fmt: skip
+        with self._autocast():
+            pooled = roi_align(features, rois, net.roi_size, 1.0 / self.backbone.stride)
+            return self.heads(pooled, crops)
+
+    @torch.no_grad()
+    def _hypothesise(
+        self, features: Tensor, normals: Tensor, depth: Tensor, intrinsics: Tensor
+    ) -> Iterator[tuple[PoseOutputs, Hypotheses, Detections]]:
+        """For each image its detections, what was read off them, and the hypotheses that follow."""
+        with self._autocast():
+            raw = self.detector(features, depth.shape[-2:])
+        detections = self.detector.detect(raw)
+        index = torch.cat([torch.full((len(d.scores),), i, device=depth.device) for i, d in enumerate(detections)])
+        boxes, scores = torch.cat([d.boxes for d in detections]), torch.cat([d.scores for d in detections])
+        regions = self._regions(depth, intrinsics, boxes, index)
+        outputs = self._read(features, normals, depth, regions)
+        for i in range(len(depth)):
+            rows = ((index == i) & regions.valid).nonzero()[:, 0]
+            part, region = outputs.select(rows), regions.select(rows)
+            few = hypotheses.generate(
+                part, self.codec, self.distance, region.windows, region.reference_depth, region.intrinsics,
+                self.config.network.hypotheses,
+            )  # fmt: skip
+            yield part, few, Detections(boxes[rows], scores[rows])
+
+    def _score(self, features: Tensor, normals: Tensor, depth: Tensor, intrinsics: Tensor) -> list[_Scored]:
+        """Hypotheses of each image with their logits; gradients reach the scoring parameters only."""
+        was_training = self.heads.training, self.detector.training
+        self.heads.eval(), self.detector.eval()
+        found = list(self._hypothesise(features, normals, depth, intrinsics))
+        self.heads.train(was_training[0]), self.detector.train(was_training[1])
+        return [self._score_image(*image) for image in found]
+
+    def _score_image(self, outputs: PoseOutputs, few: Hypotheses, detections: Detections) -> _Scored:
+        if self.confidence is not None:
+            logit = self.confidence(outputs.features, detections.scores, few, self.model.diameter)
+        else:
+            product = detections.scores[few.detection].clamp(1e-6, 1 - 1e-6).log() + few.log_product
+            logit = product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
+        registered = None
+        if self.registration is not None:
+            registered = self.registration(self._relations(few, logit.detach()), logit.detach())
+        return _Scored(few, logit, registered, detections.boxes)
+
+    def _scoring_losses(self, features: Tensor, normals: Tensor, batch: Batch) -> dict[str, Tensor]:
+        count = len(features)
+        scored = self._score(features, normals, batch.depth[:count], batch.intrinsics[:count])
+        sums: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
+        for image, poses in zip(scored, batch.poses, strict=False):
+            few = image.hypotheses
+            rotation, center = self.codec.canonical(poses)
+            distances = self.distance.between(few.rotation, few.center, rotation, center)
+            if self.confidence is not None and len(few):
+                right = (distances.amin(1) < self.model.threshold).float()
+                sums["confidence"].append(nn.functional.binary_cross_entropy_with_logits(image.logit, right))
+            if image.registered is not None and len(few):
+                wanted = registration_targets(distances, image.logit.detach(), self.model.threshold)
+                weighting = self.config.loss.registration_weights
+                sums["registration"].append(registration_loss(image.registered, wanted, weighting))
+        return {name: torch.stack(parts).mean() for name, parts in sums.items() if parts}
+
+    def _ranked(self, scored: _Scored) -> ImagePoses:
+        few = scored.hypotheses
+        logit = scored.logit if scored.registered is None else scored.registered
+        order = logit.argsort(descending=True, stable=True)
+        few = few.select(order)
+        return ImagePoses(few.rotation, few.center, logit[order].sigmoid(), scored.boxes[few.detection], few.detection)

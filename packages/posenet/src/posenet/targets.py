@@ -1,0 +1,61 @@
+"""From labelled frames to what one training step learns from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from posenet.config import TrainConfig
+
+
+class Batch(NamedTuple):
+    """B images of one size with their instances."""
+
+    depth: Tensor  # (B, H, W) metres, 0 = no return
+    intrinsics: Tensor  # (B, 4) fx, fy, cx, cy
+    poses: list[Tensor]  # B x (n, 4, 4) cam_from_obj
+    boxes: list[Tensor]  # B x (n, 4) visible boxes
+    visibility: list[Tensor]  # B x (n,)
+
+    def to(self, device: torch.device) -> Batch:
+        moved = ([part.to(device) for part in parts] for parts in (self.poses, self.boxes, self.visibility))
+        return Batch(self.depth.to(device), self.intrinsics.to(device), *moved)
+
+
+class RegionSample(NamedTuple):
+    """R regions to learn poses from."""
+
+    boxes: Tensor  # (R, 4) jittered visible boxes
+    image_index: Tensor  # (R,)
+    poses: Tensor  # (R, 4, 4) cam_from_obj
+
+
+def detection_targets(batch: Batch, min_visibility: float) -> tuple[list[Tensor], list[Tensor]]:
+    """Boxes to find, and boxes that are neither object nor background, of each image."""
+    wanted = [visibility >= min_visibility for visibility in batch.visibility]
+    seen = [(boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1]) for boxes in batch.boxes]
+    find = [boxes[want & see] for boxes, want, see in zip(batch.boxes, wanted, seen, strict=True)]
+    ignore = [boxes[~want & see] for boxes, want, see in zip(batch.boxes, wanted, seen, strict=True)]
+    return find, ignore
+
+
+def sample_regions(batch: Batch, config: TrainConfig) -> RegionSample:
+    """At most `rois_per_image` instances of each image, at random, with boxes as inexact as a detector's."""
+    boxes, index, instance_poses = [], [], []
+    for i, (box, visibility, pose) in enumerate(zip(batch.boxes, batch.visibility, batch.poses, strict=True)):
+        usable = ((visibility >= config.min_visibility) & (box[:, 2] > box[:, 0])).nonzero()[:, 0]
+        # Drawn on the CPU, so that a seed gives the same regions on every device.
+        chosen = usable[torch.randperm(len(usable))[: config.rois_per_image].to(usable.device)]
+        boxes.append(jitter(box[chosen], config.box_jitter))
+        index.append(torch.full((len(chosen),), i, device=box.device))
+        instance_poses.append(pose[chosen])
+    return RegionSample(torch.cat(boxes), torch.cat(index), torch.cat(instance_poses))
+
+
+def jitter(boxes: Tensor, amount: float) -> Tensor:
+    """Boxes (n, 4) with each edge moved by up to `amount` of the box's side, at least one pixel wide."""
+    sides = (boxes[:, 2:] - boxes[:, :2]).repeat(1, 2)
+    moved = boxes + (torch.rand(boxes.shape).to(boxes) * 2 - 1) * amount * sides
+    return torch.cat([moved[:, :2], torch.maximum(moved[:, 2:], moved[:, :2] + 1.0)], 1)
