@@ -3,7 +3,7 @@
 Because an instance is alone in its window, its whole silhouette is counted on the way, the part that others hide and
 the part beyond the frame included; that is what visibility needs, at no second rendering.
 
-Pixels are sampled at their centres. Vertices are snapped to 1/256 pixel and edges tested in integers with the top-left
+Pixels are sampled at their centres. Vertices are snapped to 1/4096 pixel and edges tested in integers with the top-left
 rule, so that neighbouring triangles neither leave a gap nor share a pixel. Depth is that of the triangle's plane on
 the pixel's ray: 1/z is affine in the image.
 """
@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-SUBPIXEL = 256
-GUARD = float(1 << 17)  # pixels; triangles are clipped there, so that the edge functions stay within 64 bits
+BITS = 12
+SUBPIXEL = 1 << BITS
+GUARD = float(1 << 17)  # pixels; triangles are clipped there, so that snapped coordinates fit 32 bits, edges 64
+WIDE = 16  # pixels; in triangles at least as wide, each row's ends are solved for instead of searched
 BEYOND_FRAME = 1  # windows reach this many frames beyond each border; nothing sane is larger
 NEAR_PER_EXTENT = 1e-3  # near plane, as a share of the mesh's extent
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +63,12 @@ class Rasterizer:
     ) -> None:
         self._camera = camera
         self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        self._vertices, self._faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int32)
-        self._background = np.ascontiguousarray(background[0], float), np.ascontiguousarray(background[1], np.int32)
+        self._vertices, self._faces = _as_mesh(vertices, faces)
+        self._background = _as_mesh(*background)
         self._cull = faces_outward(self._vertices, self._faces)
-        self._near = NEAR_PER_EXTENT * float(np.ptp(vertices, axis=0).max())
+        low, high = self._vertices.min(0), self._vertices.max(0)
+        self._middle, self._radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        self._near = NEAR_PER_EXTENT * self._radius
         rows, columns = (side * (1 + 2 * BEYOND_FRAME) for side in (camera.height, camera.width))
         self._window = np.zeros((rows, columns), np.float32)
 
@@ -72,17 +77,38 @@ class Rasterizer:
         height, width, count = self._camera.height, self._camera.width, len(cam_from_obj)
         nearness, ids = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint16)
         pixels_full, box_full = np.zeros(count, np.int32), np.zeros((count, 4), np.int32)
-        _draw_mesh(
-            *self._background, cam_from_world, self._intrinsics, self._near, False, (0, 0, width, height), nearness
-        )
+        frame = (0, 0, width, height)
+        _draw_clipped(*self._background, cam_from_world, self._intrinsics, self._near, False, frame, nearness)
         for row in range(count):
-            box = _draw_mesh(
-                self._vertices, self._faces, cam_from_obj[row], self._intrinsics, self._near, self._cull,
-                (-BEYOND_FRAME * width, -BEYOND_FRAME * height, (1 + BEYOND_FRAME) * width, (1 + BEYOND_FRAME) * height),
-                self._window,
-            )  # fmt: skip
+            box = self._draw_instance(np.ascontiguousarray(cam_from_obj[row]))
             pixels_full[row] = _composite(self._window, box, row + 1, nearness, ids, box_full[row])
         return Rendering(_inverted(nearness), ids, pixels_full, box_full)
+
+    def _draw_instance(self, cam_from_obj: NDArray[np.float64]) -> tuple[int, int, int, int]:
+        """Draw one instance into the empty window; the part of the image it lies in."""
+        aside, above = BEYOND_FRAME * self._camera.width, BEYOND_FRAME * self._camera.height
+        window = (-aside, -above, self._camera.width + aside, self._camera.height + above)
+        mesh = (self._vertices, self._faces, cam_from_obj, self._intrinsics)
+        if self._needs_clipping(cam_from_obj):
+            return _draw_clipped(*mesh, self._near, self._cull, window, self._window)
+        return _draw_tame(*mesh, self._cull, window, self._window)
+
+    def _needs_clipping(self, cam_from_obj: NDArray[np.float64]) -> bool:
+        """Whether the sphere around the mesh reaches behind the near plane or out of the guard band."""
+        x, y, z = np.abs(cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]) * (1, 1, np.sign(cam_from_obj[2, 3]))
+        nearest = z - self._radius
+        if nearest < self._near:
+            return True
+        fx, fy, cx, cy = self._intrinsics
+        aside = max(fx * (x + self._radius) / nearest + abs(cx), fy * (y + self._radius) / nearest + abs(cy))
+        return bool(aside > GUARD)
+
+
+def _as_mesh(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Contiguous copies: one type each for the compiled code; unsigned, for numba checks signed indices' sign."""
+    return np.array(vertices, np.float64, order="C"), np.array(faces, np.uint32, order="C")
 
 
 def faces_outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> bool:
@@ -100,133 +126,153 @@ def faces_outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> bo
     return bool((np.bincount(component[merged[:, 0]], volume)[np.unique(component[merged[:, 0]])] > 0).all())
 
 
-@numba.njit(cache=True, nogil=True)
-def _draw_mesh(vertices, faces, cam_from_mesh, intrinsics, near, cull, window, out):  # type: ignore[no-untyped-def]
-    """Draw 1/z of a mesh into `out`, whose [0, 0] is the corner of the returned box, which lies within `window`."""
-    fx, fy, cx, cy = intrinsics
+@_compiled
+def _draw_tame(vertices, faces, cam_from_obj, intrinsics, cull, window, out):  # type: ignore[no-untyped-def]
+    """Draw 1/z of a mesh that needs no clipping into `out`; the box whose corner `out[0, 0]` is, within `window`."""
     count = len(vertices)
-    points, snapped = np.empty((count, 3)), np.empty((count, 2), np.int64)
-    tame = np.empty(count, np.bool_)
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
-    all_tame = True
-    for i in range(count):
-        for k in range(3):
-            points[i, k] = (
-                cam_from_mesh[k, 0] * vertices[i, 0] + cam_from_mesh[k, 1] * vertices[i, 1]
-                + cam_from_mesh[k, 2] * vertices[i, 2] + cam_from_mesh[k, 3]
-            )  # fmt: skip
-        z = points[i, 2]
-        tame[i] = False
-        if z >= near:
-            u, v = fx * points[i, 0] / z + cx, fy * points[i, 1] / z + cy
-            if abs(u) <= GUARD and abs(v) <= GUARD:
-                tame[i] = True
-                snapped[i, 0], snapped[i, 1] = round(u * SUBPIXEL), round(v * SUBPIXEL)
-                x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
-        all_tame = all_tame and tame[i]
-    if not all_tame:  # something lies behind the camera or far aside: the box is unknown
-        x0, y0, x1, y1 = -np.inf, -np.inf, np.inf, np.inf
-    box = (
-        int(max(window[0], np.floor(x0))), int(max(window[1], np.floor(y0))),
-        int(min(window[2], np.floor(x1) + 2)), int(min(window[3], np.floor(y1) + 2)),
-    )  # fmt: skip
-    if box[0] >= box[2] or box[1] >= box[3]:
-        return (0, 0, 0, 0)
-    polygon = np.empty((16, 3))
-    corners = np.empty((16, 2), np.int64)
+    xs, ys, nearness = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count)
+    box = _intersection(_project(vertices, cam_from_obj, intrinsics, xs, ys, nearness), window)
     for face in range(len(faces)):
-        a, b, c = faces[face]
-        if tame[a] and tame[b] and tame[c]:
-            _fill_triangle(
-                points[a], points[b], points[c], snapped[a], snapped[b], snapped[c], intrinsics, cull, box, out
-            )
-            continue
-        size = _clip(points[a], points[b], points[c], intrinsics, near, polygon)
-        for i in range(size):
-            corners[i, 0] = round((fx * polygon[i, 0] / polygon[i, 2] + cx) * SUBPIXEL)
-            corners[i, 1] = round((fy * polygon[i, 1] / polygon[i, 2] + cy) * SUBPIXEL)
-        for i in range(1, size - 1):
-            _fill_triangle(
-                polygon[0], polygon[i], polygon[i + 1], corners[0], corners[i], corners[i + 1],
-                intrinsics, cull, box, out,
-            )  # fmt: skip
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        _fill(xs[a], ys[a], nearness[a], xs[b], ys[b], nearness[b], xs[c], ys[c], nearness[c], cull, box, out)
     return box
 
 
-@numba.njit(cache=True, nogil=True)
-def _fill_triangle(p, q, r, a, b, c, intrinsics, cull, box, out):  # type: ignore[no-untyped-def]
-    """Keep the larger 1/z of `out` and triangle p, q, r (camera frame), which the snapped corners a, b, c cover."""
-    ax, ay, bx, by, dx, dy = a[0], a[1], b[0], b[1], c[0], c[1]
-    area = (bx - ax) * (dy - ay) - (dx - ax) * (by - ay)
+@_compiled
+def _draw_clipped(vertices, faces, cam_from_mesh, intrinsics, near, cull, window, out):  # type: ignore[no-untyped-def]
+    """Draw 1/z of the part of a mesh before the near plane and within the guard band; `out` covers all of `window`."""
+    fx, fy, cx, cy = intrinsics
+    polygon, cut = np.empty((8, 3)), np.empty((8, 3))
+    xs, ys, nearness = np.empty(8, np.int32), np.empty(8, np.int32), np.empty(8)
+    for face in range(len(faces)):
+        for corner in range(3):
+            x, y, z = vertices[faces[face, corner]]
+            for k in range(3):
+                polygon[corner, k] = _row(cam_from_mesh, k, x, y, z)
+        size = _clip(polygon, cut, intrinsics, near)
+        for i in range(size):
+            nearness[i] = 1 / polygon[i, 2]
+            xs[i] = _snap(fx * polygon[i, 0] * nearness[i] + cx)
+            ys[i] = _snap(fy * polygon[i, 1] * nearness[i] + cy)
+        for i in range(1, size - 1):
+            _fill(
+                xs[0], ys[0], nearness[0], xs[i], ys[i], nearness[i], xs[i + 1], ys[i + 1], nearness[i + 1],
+                cull, window, out,
+            )  # fmt: skip
+    return window
+
+
+@_compiled
+def _project(vertices, cam_from_obj, intrinsics, xs, ys, nearness):  # type: ignore[no-untyped-def]
+    """Fill in snapped image coordinates and 1/z; returns the box of pixels that they span."""
+    fx, fy, cx, cy = intrinsics
+    x0, y0, x1, y1 = np.int32(2**30), np.int32(2**30), np.int32(-(2**30)), np.int32(-(2**30))
+    for i in range(len(vertices)):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        inverse = 1 / _row(cam_from_obj, 2, x, y, z)
+        nearness[i] = inverse
+        xs[i] = _snap(fx * _row(cam_from_obj, 0, x, y, z) * inverse + cx)
+        ys[i] = _snap(fy * _row(cam_from_obj, 1, x, y, z) * inverse + cy)
+        x0, y0, x1, y1 = min(x0, xs[i]), min(y0, ys[i]), max(x1, xs[i]), max(y1, ys[i])
+    return _first_pixel(x0), _first_pixel(y0), _last_pixel(x1) + 1, _last_pixel(y1) + 1
+
+
+@_compiled
+def _row(transform, k, x, y, z):  # type: ignore[no-untyped-def]
+    return transform[k, 0] * x + transform[k, 1] * y + transform[k, 2] * z + transform[k, 3]
+
+
+@_compiled
+def _snap(pixels):  # type: ignore[no-untyped-def]
+    return np.int32(np.floor(pixels * SUBPIXEL + 0.5))
+
+
+@_compiled
+def _first_pixel(snapped):  # type: ignore[no-untyped-def]
+    return np.int64((snapped + (SUBPIXEL - 1)) >> BITS)
+
+
+@_compiled
+def _last_pixel(snapped):  # type: ignore[no-untyped-def]
+    return np.int64(snapped >> BITS)
+
+
+@_compiled
+def _intersection(box, window):  # type: ignore[no-untyped-def]
+    return max(box[0], window[0]), max(box[1], window[1]), min(box[2], window[2]), min(box[3], window[3])
+
+
+@_compiled
+def _fill(ax, ay, aw, bx, by, bw, dx, dy, dw, cull, box, out):  # type: ignore[no-untyped-def]
+    """Where `out` is smaller, put 1/z of the triangle whose corners are (x, y snapped, w = 1/z)."""
+    area = np.int64(bx - ax) * np.int64(dy - ay) - np.int64(dx - ax) * np.int64(by - ay)
     if area == 0 or (cull and area > 0):  # rows go down, so outward faces turn the other way
         return
-    if area < 0:
-        bx, by, dx, dy = dx, dy, bx, by
-    u0, u1 = max(box[0], -(-min(ax, bx, dx) // SUBPIXEL)), min(box[2] - 1, max(ax, bx, dx) // SUBPIXEL)
-    v0, v1 = max(box[1], -(-min(ay, by, dy) // SUBPIXEL)), min(box[3] - 1, max(ay, by, dy) // SUBPIXEL)
+    u0, u1 = max(box[0], _first_pixel(min(ax, bx, dx))), min(box[2] - 1, _last_pixel(max(ax, bx, dx)))
+    v0, v1 = max(box[1], _first_pixel(min(ay, by, dy))), min(box[3] - 1, _last_pixel(max(ay, by, dy)))
     if u0 > u1 or v0 > v1:
         return
-    per_u, per_v, constant = _nearness_plane(p, q, r, intrinsics)
-    low = min(1 / p[2], 1 / q[2], 1 / r[2])
-    high = max(1 / p[2], 1 / q[2], 1 / r[2])
-    row_ab, row_bd, row_da = (
-        _edge(ax, ay, bx, by, u0, v0), _edge(bx, by, dx, dy, u0, v0), _edge(dx, dy, ax, ay, u0, v0)
-    )  # fmt: skip
+    low, high = min(aw, bw, dw), max(aw, bw, dw)
+    scale = np.float64(SUBPIXEL) / area
+    per_u = ((bw - aw) * (dy - ay) - (dw - aw) * (by - ay)) * scale
+    per_v = ((dw - aw) * (bx - ax) - (bw - aw) * (dx - ax)) * scale
+    constant = aw - (per_u * ax + per_v * ay) / SUBPIXEL
+    if area < 0:
+        bx, by, dx, dy = dx, dy, bx, by
+    e_ab, e_bd, e_da = _edge(ax, ay, bx, by, u0, v0), _edge(bx, by, dx, dy, u0, v0), _edge(dx, dy, ax, ay, u0, v0)
+    ab_u, bd_u, da_u = np.int64(ay - by) << BITS, np.int64(by - dy) << BITS, np.int64(dy - ay) << BITS
+    ab_v, bd_v, da_v = np.int64(bx - ax) << BITS, np.int64(dx - bx) << BITS, np.int64(ax - dx) << BITS
     for v in range(v0, v1 + 1):
-        e_ab, e_bd, e_da = row_ab, row_bd, row_da
+        first, last = u0, u1
+        if u1 - u0 >= WIDE:
+            first, last = _narrowed(first, last, u0, e_ab, ab_u)
+            first, last = _narrowed(first, last, u0, e_bd, bd_u)
+            first, last = _narrowed(first, last, u0, e_da, da_u)
+        skip = first - u0
+        in_ab, in_bd, in_da = e_ab + skip * ab_u, e_bd + skip * bd_u, e_da + skip * da_u
         line = constant + per_v * v
-        for u in range(u0, u1 + 1):
-            if (e_ab | e_bd | e_da) >= 0:
-                nearness = np.float32(min(max(line + per_u * u, low), high))
-                if nearness > out[v - box[1], u - box[0]]:
-                    out[v - box[1], u - box[0]] = nearness
-            e_ab -= (by - ay) * SUBPIXEL
-            e_bd -= (dy - by) * SUBPIXEL
-            e_da -= (ay - dy) * SUBPIXEL
-        row_ab += (bx - ax) * SUBPIXEL
-        row_bd += (dx - bx) * SUBPIXEL
-        row_da += (ax - dx) * SUBPIXEL
+        for u in range(first, last + 1):
+            if (in_ab | in_bd | in_da) >= 0:
+                value = np.float32(min(max(line + per_u * u, low), high))
+                if value > out[v - box[1], u - box[0]]:
+                    out[v - box[1], u - box[0]] = value
+            in_ab, in_bd, in_da = in_ab + ab_u, in_bd + bd_u, in_da + da_u
+        e_ab, e_bd, e_da = e_ab + ab_v, e_bd + bd_v, e_da + da_v
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
+def _narrowed(first, last, start, value, step):  # type: ignore[no-untyped-def]
+    """The pixels of first .. last where value + step * (u - start) is not negative."""
+    if step > 0:
+        return max(first, start - value // step), last
+    if step < 0:
+        return first, min(last, start + value // -step)
+    return first, last if value >= 0 else first - 1
+
+
+@_compiled
 def _edge(ax, ay, bx, by, u, v):  # type: ignore[no-untyped-def]
     """Twice the area of a, b and the centre of pixel (u, v); a pixel on the edge belongs to top and left edges only."""
-    value = (bx - ax) * (v * SUBPIXEL - ay) - (by - ay) * (u * SUBPIXEL - ax)
+    value = np.int64(bx - ax) * ((v << BITS) - ay) - np.int64(by - ay) * ((u << BITS) - ax)
     return value if by < ay or (by == ay and bx > ax) else value - 1
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearness_plane(p, q, r, intrinsics):  # type: ignore[no-untyped-def]
-    """1/z of the plane through three points as (per u, per v, constant); that of the nearest point if seen edge-on."""
+@_compiled
+def _clip(polygon, cut, intrinsics, near):  # type: ignore[no-untyped-def]
+    """Cut the triangle in `polygon` at near plane and guard band (Sutherland and Hodgman 1974); its corners left."""
     fx, fy, cx, cy = intrinsics
-    e0, e1, e2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    f0, f1, f2 = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    n0, n1, n2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
-    offset = n0 * p[0] + n1 * p[1] + n2 * p[2]
-    if offset == 0.0:
-        return 0.0, 0.0, 1 / min(p[2], q[2], r[2])
-    per_u, per_v = n0 / (fx * offset), n1 / (fy * offset)
-    return per_u, per_v, n2 / offset - per_u * cx - per_v * cy
-
-
-@numba.njit(cache=True, nogil=True)
-def _clip(a, b, c, intrinsics, near, polygon):  # type: ignore[no-untyped-def]
-    """Cut a triangle at the near plane and at the guard band (Sutherland and Hodgman 1974); corners left."""
-    fx, fy, cx, cy = intrinsics
-    planes = np.array([
-        [0.0, 0.0, 1.0, -near],
-        [fx, 0.0, cx + GUARD, 0.0], [-fx, 0.0, GUARD - cx, 0.0],
-        [0.0, fy, cy + GUARD, 0.0], [0.0, -fy, GUARD - cy, 0.0],
-    ])  # fmt: skip
-    polygon[0], polygon[1], polygon[2] = a, b, c
-    size, before = 3, np.empty_like(polygon)
-    for plane in planes:
-        before[:size] = polygon[:size]
+    size = 3
+    for a, b, c, d in (
+        (0.0, 0.0, 1.0, -near),
+        (fx, 0.0, cx + GUARD, 0.0), (-fx, 0.0, GUARD - cx, 0.0),
+        (0.0, fy, cy + GUARD, 0.0), (0.0, -fy, GUARD - cy, 0.0),
+    ):  # fmt: skip
+        cut[:size] = polygon[:size]
         kept = 0
         for i in range(size):
-            here, after = before[i], before[(i + 1) % size]
-            inside = plane[0] * here[0] + plane[1] * here[1] + plane[2] * here[2] + plane[3]
-            inside_after = plane[0] * after[0] + plane[1] * after[1] + plane[2] * after[2] + plane[3]
+            here, after = cut[i], cut[(i + 1) % size]
+            inside = a * here[0] + b * here[1] + c * here[2] + d
+            inside_after = a * after[0] + b * after[1] + c * after[2] + d
             if inside >= 0:
                 polygon[kept] = here
                 kept += 1
@@ -237,7 +283,7 @@ def _clip(a, b, c, intrinsics, near, polygon):  # type: ignore[no-untyped-def]
     return size
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _composite(window, box, identity, nearness, ids, box_full):  # type: ignore[no-untyped-def]
     """Count the window's silhouette, empty it, and put what is nearest into the frame; its pixels."""
     height, width = nearness.shape
@@ -258,7 +304,7 @@ def _composite(window, box, identity, nearness, ids, box_full):  # type: ignore[
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _inverted(nearness):  # type: ignore[no-untyped-def]
     depth = np.zeros_like(nearness)
     for v in range(nearness.shape[0]):
