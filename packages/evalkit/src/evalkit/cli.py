@@ -104,6 +104,25 @@ def preds(source: Path, kind: str, output: Path, object_name: str | None, camera
     click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
 
 
+@main.command()
+@click.argument("preds", type=FILE)
+@click.argument("gt", type=FILE)
+@click.option("--shards", type=FILE, required=True, help="The folder of shards that the images are from.")
+@click.option("-o", "--output", type=FILE, required=True, help="The PNG to write.")
+@click.option("--image", "image_ids", multiple=True, help="Id of an image to draw; may be repeated.")
+@click.option("--images", "count", type=click.IntRange(1, 36), default=4, show_default=True, help="How many to draw.")
+@evaluation_options
+def picture(
+    preds: Path, gt: Path, shards: Path, output: Path, image_ids: tuple[str, ...], count: int, **rules: Any
+) -> None:
+    """Draw true, false, ignored and missed poses over their depth images, beside the precision-recall curve."""
+    from evalkit.picture import save_picture
+
+    predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
+    result = save_picture(output, predictions, truth, shards, image_ids, count, **rules)
+    click.echo(f"{output}: AP {result.ap:.4f}")
+
+
 def summary(result: Result) -> str:
     """The figures as a small table, the rules in words below."""
     counts = result.counts

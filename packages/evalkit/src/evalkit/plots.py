@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINE, FILL, INK = "#1f5fa8", "#1f5fa822", "#444444"
+CRITERION_TITLES = {"sym": "Sym", "add": "ADD", "adds": "ADD-S"}
 
 
 def draw_precision_recall(axes: Axes, result: Result) -> None:
@@ -25,16 +26,9 @@ def draw_precision_recall(axes: Axes, result: Result) -> None:
     axes.fill_between(recall, precision, step="pre", color=FILL, linewidth=0)
     best = int(curve.f1.argmax())
     axes.plot(curve.recall[best], curve.precision[best], "o", color=LINE, markersize=6, markeredgecolor="white")
-    axes.annotate(
-        f"best F1 {result.best_f1:.3f}",
-        (curve.recall[best], curve.precision[best]),
-        xytext=(-8, -14),
-        textcoords="offset points",
-        ha="right",
-        color=INK,
-    )
+    axes.text(0.03, 0.05, _figures(result), transform=axes.transAxes, color=INK, linespacing=1.4)
     axes.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
-    axes.set_title(f"{title(result)}", loc="left", color=INK)
+    axes.set_title(title(result), loc="left", color=INK)
     axes.grid(color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -44,8 +38,15 @@ def title(result: Result) -> str:
     """One line: the figure and the rules it follows."""
     settings = result.settings
     return (
-        f"AP {result.ap:.3f}   {settings.criterion.upper()} ≤ {settings.threshold:g} d, "
+        f"AP {result.ap:.3f}   {CRITERION_TITLES[settings.criterion]} ≤ {settings.threshold:g} d, "
         f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
+    )
+
+
+def _figures(result: Result) -> str:
+    return (
+        f"MAP {result.map:.3f}\nbest F1 {result.best_f1:.3f} (dot)\n"
+        f"recall at precision 0.99: {result.recall_at_precision_99:.3f}"
     )
 
 

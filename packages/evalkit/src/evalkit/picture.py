@@ -1,0 +1,157 @@
+"""One picture of an evaluation: some images with what was found, false and missed, beside the curve and its rules."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.errors import InputError
+from evalkit.evaluation import ImageOutcome, Result, average_precision
+from evalkit.matching import DUPLICATE, FALSE, IGNORED, TRUE
+from evalkit.objects import ObjectModel
+from evalkit.overlays import BLUE, GREEN, GREY, RED, WHITE, Color, draw_poses
+from evalkit.plots import INK, draw_precision_recall, new_figure, save
+from evalkit.scene import View
+from evalkit.shards import ShardDataset
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+OUTCOME_COLORS = ((IGNORED, GREY), (FALSE, RED), (DUPLICATE, RED), (TRUE, GREEN))  # later ones are drawn on top
+LEGEND = (("ground truth, found", WHITE), ("missed", BLUE), ("true", GREEN), ("false", RED), ("ignored", GREY))
+SHORTEST_SIDE = 480  # pixels; smaller depth images are enlarged
+WORDS_WIDTH = 68  # characters beside the images
+
+
+@dataclass(frozen=True, eq=False)
+class Confident:
+    """The hypotheses with at least the score of the best F1, evaluated: those that a robot would act on."""
+
+    truths: dict[str, GroundTruthImage]
+    hypotheses: dict[str, PredictionImage]
+    outcomes: dict[str, ImageOutcome]
+    counts: dict[str, int]
+    score: float
+
+    @classmethod
+    def cut(cls, predictions: Predictions, truth: GroundTruth, result: Result) -> Confident:
+        score = float(result.curve.score[int(result.curve.f1.argmax())])
+        kept = replace(predictions, images=[_at_least(image, score) for image in predictions.images])
+        again = average_precision(kept, truth, **vars(result.settings))
+        return cls(
+            truths={image.id: image for image in truth.images},
+            hypotheses={image.id: image for image in kept.images},
+            outcomes={outcome.id: outcome for outcome in again.images()},
+            counts=again.counts,
+            score=score,
+        )
+
+    def draw(self, view: View, model: ObjectModel, name: str) -> Image:
+        return draw_outcome(view, model, self.truths[name], self.hypotheses.get(name), self.outcomes[name])
+
+
+def save_picture(
+    path: Path | str,
+    predictions: Predictions,
+    truth: GroundTruth,
+    shards: Path | str | Sequence[Path | str],
+    image_ids: Sequence[str] = (),
+    count: int = 4,
+    **rules: Any,
+) -> Result:
+    """Draw `count` images (or those named) with outlines over their depth, and the precision-recall curve.
+
+    Args:
+        rules: as :func:`evalkit.evaluation.average_precision` takes them.
+
+    Raises:
+        InputError: the documents do not belong together, or the shards lack an image.
+    """
+    result = average_precision(predictions, truth, **rules)
+    confident = Confident.cut(predictions, truth, result)
+    dataset = ShardDataset(shards)
+    frames = _frames_by_id(dataset)
+    chosen = list(image_ids) or _spread([name for name in result.image_ids if name in frames], count)
+    unknown = next((name for name in chosen if name not in frames or name not in result.image_ids), None)
+    if unknown is not None or not chosen:
+        raise InputError(
+            f"{shards}: image '{unknown or result.image_ids[0]}' must be both there and in {truth.source}."
+        )
+    model = replace(truth.object, vertices=dataset.header.object.vertices, faces=dataset.header.object.faces)
+    panels = [confident.draw(dataset[frames[name]], model, name) for name in chosen]
+    _compose(path, dict(zip(chosen, panels, strict=True)), confident, result)
+    return result
+
+
+def draw_outcome(
+    view: View, model: ObjectModel, truth: GroundTruthImage, hypotheses: PredictionImage | None, outcome: ImageOutcome
+) -> Image:
+    """One image's depth with its ground truth (found white, missed blue) and its hypotheses (true, false, ignored)."""
+    scale = max(1, -(-SHORTEST_SIDE // min(view.camera.width, view.camera.height)))
+    found = ~outcome.missed & ~outcome.ignored
+    picture = draw_poses(view.depth, view.camera, model, truth.cam_from_obj[found], WHITE, scale)
+    layers: list[tuple[Array, Color]] = [(truth.cam_from_obj[outcome.missed], BLUE)]
+    if hypotheses is not None:
+        layers += [(hypotheses.cam_from_obj[outcome.outcome == kind], color) for kind, color in OUTCOME_COLORS]
+    for pose, color in layers:
+        picture = draw_poses(view.depth, view.camera, model, pose, color, scale, thickness=2, canvas=picture)
+    return picture
+
+
+def _frames_by_id(dataset: ShardDataset) -> dict[str, int]:
+    readers = [dataset.reader(shard) for shard in range(len(dataset.paths))]
+    names = [reader.image_id(frame) for reader in readers for frame in range(len(reader))]
+    return {name: index for index, name in enumerate(names)}
+
+
+def _spread(names: list[str], count: int) -> list[str]:
+    """`count` names from all over the list, in order."""
+    rows = np.linspace(0, len(names) - 1, min(count, len(names))).round().astype(int)
+    return [names[row] for row in rows]
+
+
+def _compose(path: Path | str, panels: dict[str, Image], confident: Confident, result: Result) -> None:
+    figure = new_figure(15.0, 7.6)
+    left, right = figure.subfigures(1, 2, width_ratios=[1.75, 1.0], squeeze=False)[0]
+    columns = int(np.ceil(np.sqrt(len(panels))))
+    grid = left.subplots(int(np.ceil(len(panels) / columns)), columns, squeeze=False)
+    for axes in grid.flat:
+        axes.axis("off")
+    for axes, (name, picture) in zip(grid.flat, panels.items(), strict=False):
+        axes.imshow(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+        axes.set_title(name, fontsize=9, loc="left", color=INK)
+    handles = [
+        Patch(facecolor=[c / 255 for c in color[::-1]], edgecolor=INK, linewidth=0.6, label=label)
+        for label, color in LEGEND
+    ]
+    left.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+    curve, words = right.subplots(2, 1, height_ratios=[1.0, 0.5])
+    draw_precision_recall(curve, result)
+    words.axis("off")
+    words.text(0, 1, _words(result, confident), va="top", fontsize=9, color=INK, linespacing=1.35, in_layout=False)
+    save(figure, path)
+
+
+def _words(result: Result, confident: Confident) -> str:
+    counts, drawn = result.counts, confident.counts
+    paragraphs = (
+        f"{result.object_name}: {counts['images']} images, {counts['instances_to_find']} of {counts['instances']} "
+        f"instances to find, {counts['hypotheses']} hypotheses. Drawn are those with a score of at least "
+        f"{confident.score:.3g}, where F1 is best: {drawn['true']} true, {drawn['false']} false, "
+        f"{drawn['ignored']} ignored, {drawn['missed']} missed.",
+        result.protocol,
+    )
+    return "\n\n".join(textwrap.fill(paragraph, WORDS_WIDTH) for paragraph in paragraphs)
+
+
+def _at_least(image: PredictionImage, score: float) -> PredictionImage:
+    kept = image.score >= score
+    return replace(image, cam_from_obj=image.cam_from_obj[kept], score=image.score[kept])
