@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from evalkit.errors import InputError
 
 MAX_SIDE = 16384
+LARGEST = 1e12  # no intrinsic is near it, and integers beyond 1e308 are no floats
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ class Camera:
         values: dict[str, float] = {}
         for field in ("width", "height", "fx", "fy", "cx", "cy"):
             value = document.get(field)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{where}: the field '{field}' is missing or not a number.")
+            if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > LARGEST:
+                raise InputError(f"{where}: the field '{field}' is missing or not a number of sane size.")
             values[field] = value
         for field in ("width", "height"):
             if values[field] != int(values[field]) if math.isfinite(values[field]) else True:

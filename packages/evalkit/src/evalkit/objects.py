@@ -182,7 +182,7 @@ def _numbers(document: dict[str, Any], key: str, shape: tuple[int, ...], where: 
         array = np.array(document[key], dtype=float)
     except KeyError:
         raise InputError(f"{where}: the field '{key}' is missing.") from None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: the field '{key}' must hold numbers only.") from None
     fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits or not np.isfinite(array).all():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evalkit.atomic import atomic_path
+from evalkit.errors import InputError
 from evalkit.evaluation import Result
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINE, FILL, INK = "#1f5fa8", "#1f5fa822", "#444444"
+SUFFIXES = (".png", ".svg", ".pdf")
 CRITERION_TITLES = {"sym": "Sym", "add": "ADD", "adds": "ADD-S"}
 
 
@@ -65,6 +67,13 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path | str) -> None:
-    """Write a figure atomically; its suffix names the format, PNG without one."""
+    """Write a figure atomically in the format that the suffix names.
+
+    Raises:
+        InputError: the suffix names none that we write.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: a picture's name must end in one of {', '.join(SUFFIXES)}.")
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=Path(path).suffix.lstrip(".").lower() or "png", metadata={})
+        figure.savefig(temporary, format=suffix[1:])

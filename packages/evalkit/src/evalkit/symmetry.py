@@ -179,7 +179,7 @@ class Symmetry:
         try:
             frame = np.array(document.get("obj_from_sym", np.eye(3)), dtype=float)
             rotations = np.array(document["rotations"], dtype=float) if "rotations" in document else None
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{where}: 'obj_from_sym' and 'rotations' must be 3x3 matrices of numbers.") from None
         if frame.shape != (3, 3) or not poses.is_rotation(frame):
             raise InputError(f"{where}: 'obj_from_sym' must be a 3x3 rotation matrix.")

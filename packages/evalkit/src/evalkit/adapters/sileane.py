@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -48,13 +49,13 @@ def read_predictions(folder: Path, object_name: str | None = None, camera_params
     Raises:
         InputError: there is no result file, or one is not what it should be.
     """
-    view = _view(folder.resolve().parent, camera_params)
+    view = _view(_named(folder).parent, camera_params)
     cam_from_world = np.eye(4) if view is None else view[1]
     images = []
     for path in _scene_files(folder):
         world_from_obj, score = parse_rows(load_json(path), "score", str(path))
         images.append(PredictionImage(path.stem, cam_from_world @ world_from_obj, score))
-    return Predictions(object_name or folder.resolve().parent.name, images, _frame(view), str(folder))
+    return Predictions(object_name or _named(folder).parent.name, images, _frame(view), str(folder))
 
 
 def read_object(folder: Path, name: str | None = None) -> ObjectModel:
@@ -76,7 +77,7 @@ def read_object(folder: Path, name: str | None = None) -> ObjectModel:
     inertial_from_obj = poses.from_rotation_translation(poses.nearest_rotation(turn), shift)
     symmetry = _symmetry(path, document).rotated(inertial_from_obj[:3, :3].T)
     model = ObjectModel(
-        name=name or folder.resolve().name,
+        name=name or _named(folder).name,
         diameter=threshold / THRESHOLD_RATIO,
         centroid=poses.invert(inertial_from_obj)[:3, 3],
         inertial_from_obj=inertial_from_obj,
@@ -151,8 +152,9 @@ def _symmetry(path: Path, document: dict[str, Any]) -> Symmetry:
     if "revolution" in lowered:
         return Symmetry.parse("revolution-flip" if _has_flip(path, document) else "revolution")
     if "affine" in lowered or "G" in document:
+        elements = _numbers(path, document, "G", (-1, 3, 3))
         try:
-            return Symmetry.from_rotations(_numbers(path, document, "G", (-1, 3, 3)))
+            return Symmetry.from_rotations(elements)
         except InputError as error:
             raise InputError(f"{path}: the field 'G': {error}") from None
     raise InputError(f"{path}: the type '{kind[:40]}' is not known; it must be affine, revolution or spherical.")
@@ -178,7 +180,7 @@ def _lambda(path: Path, document: dict[str, Any], symmetry: Symmetry) -> Array:
 def _numbers(path: Path, document: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
     try:
         array = np.array(document[key], dtype=float).reshape(shape)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise InputError(f"{path}: the field '{key}' is missing or does not hold numbers of shape {shape}.") from None
     if not np.isfinite(array).all():
         raise InputError(f"{path}: the field '{key}' holds a number that is not finite.")
@@ -188,6 +190,11 @@ def _numbers(path: Path, document: dict[str, Any], key: str, shape: tuple[int, .
 def _with_surface(model: ObjectModel, mesh: Path) -> ObjectModel:
     vertices, faces = read_obj(mesh)
     return replace(model, vertices=vertices, faces=faces, points=sample_surface(vertices, faces, SAMPLE_POINTS))
+
+
+def _named(folder: Path) -> Path:
+    """The folder as the user names it, links not followed, but with a name and a parent even where it is "."."""
+    return Path(os.path.abspath(folder))
 
 
 def _view(folder: Path, camera_params: Path | None) -> tuple[Camera, Array] | None:
