@@ -39,6 +39,8 @@ class NetworkConfig:
     confidence: Literal["product", "learned"] = "learned"  # score of a hypothesis before registration
     registration: bool = True
     registration_blocks: int = 4
+    registration_width: int = 64
+    registration_neighbours: int = 48
     hypotheses: int = 5  # per detection
     max_detections: int = 64
 
@@ -74,6 +76,7 @@ class TrainConfig:
     min_visibility: float = 0.2  # instances seen less than this do not train
     box_jitter: float = 0.08  # of a box's side, uniform
     scoring_images: int = 2  # images of a batch that train confidence and registration
+    scoring_every: int = 2  # steps
     scoring_start: float = 0.25  # share of the run after which they do
     validation_share: float = 0.05  # of the scenes
     validation_images: int = 48
@@ -139,6 +142,8 @@ def paper() -> Config:
             regress_rotation=False,
             confidence="product",
             registration_blocks=16,
+            registration_width=128,
+            registration_neighbours=128,
         ),
         LossConfig(
             offset=1.0,
@@ -158,6 +163,7 @@ def paper() -> Config:
             schedule="constant",
             box_jitter=0.1,
             scoring_images=1,
+            scoring_every=1,
         ),
     )
 

@@ -73,8 +73,8 @@ def load_model(source: Path | str, device: str | torch.device = "cpu") -> Traine
     except (KeyError, TypeError, RuntimeError, json.JSONDecodeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path}: not a complete model of this posenet version ({reason}); train it anew.") from None
-    network = network.to(device, memory_format=torch.channels_last).eval()
-    return TrainedModel(network, record)
+    network = network.to(device).eval()
+    return TrainedModel(network.in_fast_layout(), record)
 
 
 def read_torch_file(path: Path) -> dict[str, Any]:

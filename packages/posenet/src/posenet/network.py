@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from evalkit import poses
 from evalkit.camera import Camera
 from evalkit.objects import ObjectModel
-from posenet import depth_input, hypotheses, losses, targets
+from posenet import depth_input, euler, hypotheses, losses, targets
 from posenet.backbone import Backbone, build_backbone
 from posenet.confidence import ConfidenceHead
 from posenet.config import Config, NetworkConfig
@@ -22,6 +24,14 @@ from posenet.ops import roi_align
 from posenet.pose_codec import PoseCodec
 from posenet.pose_heads import PoseHeads, PoseOutputs
 from posenet.regions import Regions, make_regions
+from posenet.registration import (
+    HypothesisSet,
+    JointRegistration,
+    registration_loss,
+    registration_targets,
+    relation_features,
+)
+from posenet.rpn_detector import RpnDetector
 from posenet.sym_distance import SymDistance
 from posenet.targets import Batch
 
@@ -47,7 +57,19 @@ class _Scored(NamedTuple):
 
 def build_detector(config: NetworkConfig, backbone: Backbone, object_size: float) -> Detector:
     """The detector that `config` names; `object_size` is the object's diameter in pixels."""
-    return HeatmapDetector(backbone.channels, backbone.stride, object_size, max_detections=config.max_detections)
+    if config.detector == "heatmap":
+        return HeatmapDetector(backbone.channels, backbone.stride, object_size, max_detections=config.max_detections)
+    # Anchors from the whole object to what is left of one seen end-on and half hidden.
+    sizes = tuple(scale * object_size for scale in (0.4, 0.6, 0.85))
+    return RpnDetector(
+        backbone.channels,
+        backbone.stride,
+        sizes,
+        fc_width=config.fc_width,
+        dropout=config.dropout,
+        roi_size=config.roi_size,
+        max_detections=config.max_detections,
+    )
 
 
 class PoseNetwork(nn.Module):
@@ -58,6 +80,8 @@ class PoseNetwork(nn.Module):
         camera: of the training set; the anchors' size follows from it.
     """
 
+    model_box: Tensor
+
     def __init__(self, config: Config, model: ObjectModel, depth_range: tuple[float, float], camera: Camera) -> None:
         super().__init__()
         self.config, self.model, self.camera, self.depth_range = config, model, camera, depth_range
@@ -67,16 +91,23 @@ class PoseNetwork(nn.Module):
         self.distance = SymDistance(model.symmetry.rotated(turn), turn @ model.lam_in_obj @ turn.T)
         self.backbone = build_backbone(net.backbone, in_channels=3)
         self.detector = build_detector(config.network, self.backbone, self.object_size)
-        counts = tuple(bins.count for bins in self.codec.angle_bins)
-        self.heads = PoseHeads(self.backbone.channels, counts, net)
+        a, b, c = self.codec.angle_bins
+        self.heads = PoseHeads(self.backbone.channels, (a.count, b.count, c.count), net)
         self.confidence = ConfidenceHead(net.fc_width) if net.confidence == "learned" else None
-        self.registration = JointRegistration(net.registration_blocks) if net.registration else None
+        self.registration = (
+            JointRegistration(net.registration_blocks, net.registration_width) if net.registration else None
+        )
+        self.register_buffer("model_box", self._model_box(), persistent=False)
         self.bf16 = False
 
     @property
     def object_size(self) -> float:
         """The object's diameter in pixels at the middle of the training set's depths."""
         return self.camera.fx * self.model.diameter / (sum(self.depth_range) / 2)
+
+    def in_fast_layout(self) -> PoseNetwork:
+        """Itself, with convolution weights in the layout (channels last) in which CPUs and GPUs are faster."""
+        return self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def main_parameters(self) -> Iterator[nn.Parameter]:
         """What the multi-task losses train."""
@@ -97,9 +128,9 @@ class PoseNetwork(nn.Module):
         found = self.detector.losses(raw, find, ignore)
         sample = targets.sample_regions(batch, self.config.train)
         regions = self._regions(batch.depth, batch.intrinsics, sample.boxes, sample.image_index)
-        regions, poses = regions.select(regions.valid), sample.poses[regions.valid]
+        regions, truth = regions.select(regions.valid), sample.poses[regions.valid]
         outputs = self._read(features, normals, batch.depth, regions)
-        labels = self.codec.encode(poses, regions.windows, regions.reference_depth, regions.intrinsics)
+        labels = self.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
         found |= losses.pose_losses(outputs, labels, self.codec, self.distance, self.config.loss)
         if scoring_images and (self.confidence or self.registration):
             few = slice(0, scoring_images)
@@ -111,6 +142,13 @@ class PoseNetwork(nn.Module):
         """Poses for images (B, H, W) in metres with intrinsics (B, 4), in eval mode; one entry an image."""
         features, normals = self._features(depth, intrinsics)
         return [self._ranked(scored) for scored in self._score(features, normals, depth, intrinsics)]
+
+    def _model_box(self) -> Tensor:
+        """Lowest and highest corner (2, 3) of the object in its canonical frame."""
+        surface = self.model.points if self.model.vertices is None else self.model.vertices
+        assert surface is not None, "an object has a mesh or sampled points"
+        canonical = poses.apply(self.codec.canonical_from_obj, surface)
+        return torch.tensor(np.stack([canonical.min(0), canonical.max(0)]), dtype=torch.float32)
 
     @contextmanager
     def _autocast(self) -> Iterator[None]:
@@ -181,22 +219,28 @@ class PoseNetwork(nn.Module):
             logit = product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
         registered = None
         if self.registration is not None:
-            registered = self.registration(self._relations(few, logit.detach()), logit.detach())
+            angles = torch.stack(euler.to_angles(few.relative), -1)
+            claims = HypothesisSet(logit.detach(), few.rotation, few.center, angles, few.detection)
+            registered = self.registration(
+                relation_features(claims, self.model_box, self.config.network.registration_neighbours)
+            )
         return _Scored(few, logit, registered, detections.boxes)
 
     def _scoring_losses(self, features: Tensor, normals: Tensor, batch: Batch) -> dict[str, Tensor]:
         count = len(features)
         scored = self._score(features, normals, batch.depth[:count], batch.intrinsics[:count])
         sums: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
-        for image, poses in zip(scored, batch.poses, strict=False):
+        for image, truth, visibility in zip(scored, batch.poses, batch.visibility, strict=False):
             few = image.hypotheses
-            rotation, center = self.codec.canonical(poses)
+            rotation, center = self.codec.canonical(truth)
             distances = self.distance.between(few.rotation, few.center, rotation, center)
             if self.confidence is not None and len(few):
                 right = (distances.amin(1) < self.model.threshold).float()
                 sums["confidence"].append(nn.functional.binary_cross_entropy_with_logits(image.logit, right))
             if image.registered is not None and len(few):
-                wanted = registration_targets(distances, image.logit.detach(), self.model.threshold)
+                wanted = registration_targets(
+                    distances, image.logit.detach(), self.model.threshold, visibility < self.config.train.min_visibility
+                )
                 weighting = self.config.loss.registration_weights
                 sums["registration"].append(registration_loss(image.registered, wanted, weighting))
         return {name: torch.stack(parts).mean() for name, parts in sums.items() if parts}

@@ -90,7 +90,7 @@ class Trainer:
         network.bf16 = self.config.precision == "bf16" or (self.config.precision == "auto" and supports_bf16(device))
         self.logger = TensorBoardLogger(run.path, name="", version="")
         self.fabric = Fabric(accelerator=device.type, devices=1, loggers=self.logger)
-        self.network = network.to(memory_format=torch.channels_last)
+        self.network = network.in_fast_layout()
         main, scoring = _optimizers(network, options.config)
         self.module, self.main, *rest = self.fabric.setup(self.network, main, *([scoring] if scoring else []))
         self.scoring = rest[0] if rest else None
@@ -178,8 +178,8 @@ class Trainer:
                 group["lr"] = self.config.learning_rate * factor
         batch = self.frames.batch(batch_frames).to(self.fabric.device)
         self.network.train()
-        scoring_images = self.config.scoring_images if progress >= self.config.scoring_start else 0
-        found = self.module(batch, scoring_images)
+        scores = progress >= self.config.scoring_start and self.step % self.config.scoring_every == 0
+        found = self.module(batch, self.config.scoring_images if scores else 0)
         loss = losses.total(found, self.options.config.loss)
         self._check(loss, found)
         for optimizer in optimizers:
@@ -280,6 +280,9 @@ class _LossMeter:
 def _optimizers(network: PoseNetwork, config: Config) -> tuple[torch.optim.Optimizer, torch.optim.Optimizer | None]:
     """One for the multi-task network, one for what learns on its detached features."""
     kind = torch.optim.AdamW if config.train.optimizer == "adamw" else torch.optim.Adam
-    options = {"lr": config.train.learning_rate, "weight_decay": config.train.weight_decay}
+
+    def optimizer(parameters: list[torch.nn.Parameter]) -> torch.optim.Optimizer:
+        return kind(parameters, lr=config.train.learning_rate, weight_decay=config.train.weight_decay)
+
     scoring = list(network.scoring_parameters())
-    return kind(list(network.main_parameters()), **options), kind(scoring, **options) if scoring else None
+    return optimizer(list(network.main_parameters())), optimizer(scoring) if scoring else None

@@ -1,0 +1,32 @@
+"""Data that several packages' tests share: made once a session, by the commands that a user types."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+def _run_command(command: str, *arguments: object, timeout: float = 600) -> subprocess.CompletedProcess[str]:
+    """Run one of our commands as installed; its output is text."""
+    executable = Path(sys.executable).with_name(command)
+    words = [str(executable), *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False)
+
+
+@pytest.fixture(scope="session")
+def run_command() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """`run_command("evalkit", "ap", ...)`: one of our commands, as installed."""
+    return _run_command
+
+
+@pytest.fixture(scope="session")
+def debug_shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes of bunnies, three views each, 160 x 120."""
+    out = tmp_path_factory.mktemp("shards") / "debug"
+    done = _run_command("simgen", "build", "--object", "bunny", "--preset", "debug", "--scenes", 2, "-o", out)
+    assert done.returncode == 0, done.stderr
+    return out

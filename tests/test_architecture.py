@@ -1,0 +1,75 @@
+"""The rules that keep the three packages apart."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("evalkit", "simgen", "posenet")
+ALLOWED = {"evalkit": set(), "simgen": {"evalkit"}, "posenet": {"evalkit"}}
+
+
+def sources(package: str) -> list[Path]:
+    found = sorted((ROOT / "packages" / package / "src" / package).rglob("*.py"))
+    assert found
+    return found
+
+
+def imported_packages(source: Path) -> Iterator[str]:
+    """Top-level names imported anywhere in a file, inside functions too."""
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.split(".")[0]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_what_the_design_allows(package: str) -> None:
+    others = set(PACKAGES) - {package} - ALLOWED[package]
+    for source in sources(package):
+        wrong = others & set(imported_packages(source))
+        assert not wrong, f"{source.relative_to(ROOT)} imports {wrong}"
+
+
+def test_the_leaf_needs_no_physics_gl_or_torch() -> None:
+    heavy = {"torch", "pybullet", "pyrender", "OpenGL", "lightning", "trimesh", "numba"}
+    for source in sources("evalkit"):
+        wrong = heavy & set(imported_packages(source))
+        assert not wrong, f"{source.relative_to(ROOT)} imports {wrong}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_nothing_is_unpickled(package: str) -> None:
+    for source in sources(package):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = ast.unparse(node.func)
+            options = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            where = f"{source.relative_to(ROOT)}:{node.lineno}"
+            assert name not in ("pickle.load", "pickle.loads", "joblib.load"), where
+            if name == "torch.load":
+                assert options.get("weights_only") == "True", where
+            if name in ("np.load", "numpy.load"):
+                assert options.get("allow_pickle", "False") == "False", where
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_file_is_a_drawer_for_everything(package: str) -> None:
+    names = {source.stem for source in sources(package)}
+    assert not names & {"utils", "util", "helpers", "misc", "common"}
+
+
+@pytest.mark.parametrize("command", PACKAGES)
+def test_every_command_explains_itself(command: str) -> None:
+    executable = Path(sys.executable).with_name(command)
+    done = subprocess.run([str(executable), "--help"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "Usage:" in done.stdout
