@@ -42,9 +42,7 @@ def plain_depth(triangles: NDArray[np.float64], camera: Camera) -> NDArray[np.fl
     return np.where(np.isfinite(depth), depth, 0.0)
 
 
-def embree_image(
-    triangles: NDArray[np.float64], camera: Camera
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def embree_image(triangles: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Depth and instance ids of (instances, faces, 3, 3), by rays through the pixels' centres."""
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh

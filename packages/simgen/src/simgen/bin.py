@@ -8,21 +8,28 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
 
 from simgen.config import BinSize
 
 Array = NDArray[np.float64]
-SIDE_PER_ROOT_INSTANCE = 0.65  # in object diameters: about one and a half layers when the bin is full
+LAYERS = 0.8  # shadows of all instances over the floor's area: they overlap here and leave gaps there
+MIN_SIDE = 1.5  # in object diameters
 WALL_HEIGHT = 0.8  # in object diameters
 WALL_THICKNESS = 0.03  # of the longer side
 GROUND = 4.0  # half-side of the ground around the bin, in longer sides
 
 
-def fitting_bin(diameter: float, instances: int) -> BinSize:
-    """The bin in which `instances` objects of `diameter` metres pile up in one to two layers."""
-    side = diameter * max(SIDE_PER_ROOT_INSTANCE * math.sqrt(instances), 1.5)
+def fitting_bin(diameter: float, shadow: float, instances: int) -> BinSize:
+    """The bin in which `instances` objects of `diameter` metres and mean `shadow` m2 pile up in one to two layers."""
+    side = max(math.sqrt(instances * shadow / LAYERS), MIN_SIDE * diameter)
     return BinSize(side, side, WALL_HEIGHT * diameter)
+
+
+def mean_shadow(vertices: ArrayLike) -> float:
+    """Area in m2 that the convex hull of points (V, 3) hides on average: a quarter of its surface (Cauchy 1841)."""
+    return float(ConvexHull(vertices, qhull_options="QJ").area) / 4  # joggled, for flat objects have hulls as well
 
 
 def wall_boxes(size: BinSize, thickness: float) -> Array:

@@ -49,10 +49,12 @@ class PhysicsConfig:
     time_step: float = 1 / 240
     solver_iterations: int = 50
     collision_margin: float = 1e-5  # Bullet's default floats hulls 1 mm above each other
-    friction: float = 0.5
+    friction: float = 0.3  # with 0.5 piles take longer to rest and creep twice as far afterwards
     rolling_friction: float = 1e-3  # or round things roll for ever
+    linear_damping: float = 0.5  # share of the speed lost in a second
+    angular_damping: float = 0.9
     quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
-    quiet_motion: float = 5e-4  # metres, of the point of the object that moves most
+    quiet_motion: float = 2e-4  # metres, of any instance's centre or ends of axes
     max_seconds: float = 8.0
     max_attempts: int = 20
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from evalkit import poses
 from evalkit.errors import InputError
 from numpy.typing import NDArray
 
 from simgen.bin import wall_boxes
+from simgen.bullet import pybullet
 from simgen.config import BinSize, PhysicsConfig
 
 Array = NDArray[np.float64]
@@ -127,19 +127,14 @@ class World:
         """Add instances with centres of mass (n, 3), simulated metres, and rotations (n, 3, 3)."""
         shape = self._compound_of_hulls()
         for center, quaternion in zip(centers, _quaternions_xyzw(rotations), strict=True):
-            instance = pybullet.createMultiBody(
-                1.0, shape, -1, center.tolist(), quaternion.tolist(), physicsClientId=self._client
-            )
-            self._set_contact(instance)
-            self._instances.append(instance)
+            self._instances.append(self._add_body(1.0, shape, center, quaternion))
 
     def settle(self) -> bool:
         """Simulate until nothing moves throughout the quiet window; False if it takes too long or one is lost."""
         steps = max(1, round(self._config.quiet_window / LOOKS_PER_WINDOW / self._config.time_step))
         recent: deque[Array] = deque([self._surface_marks()], maxlen=LOOKS_PER_WINDOW)
         for _ in range(round(self._config.max_seconds / (steps * self._config.time_step))):
-            for _ in range(steps):
-                pybullet.stepSimulation(physicsClientId=self._client)
+            self.step(steps)
             now = self._surface_marks()
             if not self._all_inside(now):
                 return False
@@ -148,6 +143,11 @@ class World:
                 return True
             recent.append(now)
         return False
+
+    def step(self, steps: int) -> None:
+        """Let that many time steps pass."""
+        for _ in range(steps):
+            pybullet.stepSimulation(physicsClientId=self._client)
 
     def world_from_obj(self) -> Array:
         """Poses (n, 4, 4) of the instances, in metres."""
@@ -188,19 +188,31 @@ class World:
             shape = pybullet.createCollisionShape(
                 pybullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=self._client
             )
-            self._set_contact(pybullet.createMultiBody(0.0, shape, -1, middle.tolist(), physicsClientId=self._client))
+            self._add_body(0.0, shape, middle, np.array([0.0, 0.0, 0.0, 1.0]))
 
-    def _set_contact(self, body: int) -> None:
+    def _add_body(self, mass: float, shape: int, position: Array, quaternion: Array) -> int:
+        body = pybullet.createMultiBody(
+            mass,
+            shape,
+            -1,
+            position.tolist(),
+            quaternion.tolist(),
+            useMaximalCoordinates=True,  # plain rigid bodies: twice as fast as Bullet's articulated ones
+            physicsClientId=self._client,
+        )
         pybullet.changeDynamics(
             body,
             -1,
             lateralFriction=self._config.friction,
             rollingFriction=self._config.rolling_friction,
             spinningFriction=self._config.rolling_friction,
+            linearDamping=self._config.linear_damping,
+            angularDamping=self._config.angular_damping,
             restitution=0.0,
             collisionMargin=self._config.collision_margin,
             physicsClientId=self._client,
         )
+        return int(body)
 
 
 def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size: BinSize) -> tuple[Array, Array]:

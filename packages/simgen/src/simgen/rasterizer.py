@@ -95,7 +95,11 @@ class Rasterizer:
 
     def _needs_clipping(self, cam_from_obj: NDArray[np.float64]) -> bool:
         """Whether the sphere around the mesh reaches behind the near plane or out of the guard band."""
-        x, y, z = np.abs(cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]) * (1, 1, np.sign(cam_from_obj[2, 3]))
+        x, y, z = np.abs(cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]) * (
+            1,
+            1,
+            np.sign(cam_from_obj[2, 3]),
+        )
         nearest = z - self._radius
         if nearest < self._near:
             return True
@@ -104,9 +108,7 @@ class Rasterizer:
         return bool(aside > GUARD)
 
 
-def _as_mesh(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+def _as_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Contiguous copies: one type each for the compiled code; unsigned, for numba checks signed indices' sign."""
     return np.array(vertices, np.float64, order="C"), np.array(faces, np.uint32, order="C")
 

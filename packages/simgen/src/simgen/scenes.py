@@ -14,7 +14,7 @@ from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
 
-from simgen.bin import bin_mesh, fitting_bin, ground_half_side
+from simgen.bin import bin_mesh, fitting_bin, ground_half_side, mean_shadow
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.meshes import PreparedObject
@@ -54,7 +54,7 @@ def plan(config: BuildConfig, prepared: PreparedObject) -> Job:
         InputError: the object is larger than the bin.
     """
     diameter = prepared.model.diameter
-    size = config.bin or fitting_bin(diameter, config.instances_max)
+    size = config.bin or fitting_bin(diameter, mean_shadow(prepared.model.vertices), config.instances_max)
     if min(size.width, size.depth) < diameter:
         raise InputError(
             f"--bin {size}: the object '{prepared.model.name}' is {diameter:g} m across; "
