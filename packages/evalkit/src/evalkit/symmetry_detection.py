@@ -9,7 +9,7 @@ verified on a dense sample of the surface (:mod:`evalkit.symmetry_fit`).
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -199,10 +199,10 @@ class _Search:
         if revolution.accepted:
             return revolution.symmetry
         self._remember_witnesses(about("revolution", axis))
-        turns = [about(f"cyclic:{fold}", axis) for fold in reversed(folds)]
-        likely = [turn for turn in turns if self._may_hold(turn)]
-        for turn in likely[:MOST_FOLDS] or turns[-1:]:
-            spin = self._test(turn)
+        promises = {fold: self._promise(about(f"cyclic:{fold}", axis)) for fold in folds}
+        likely = sorted((promises[fold] > 1.0, -fold) for fold in folds if promises[fold] <= MARGIN)
+        for fold in [-negative for _, negative in likely[:MOST_FOLDS]] or folds[:1]:
+            spin = self._test(about(f"cyclic:{fold}", axis))
             if spin.accepted:
                 return spin.symmetry
         return None
@@ -234,7 +234,10 @@ class _Search:
         """Refine, verify, and keep as evidence."""
         refined = refine(self.surface, symmetry)
         candidate = self._verify(refined, QUICK)
-        if candidate.excess <= MARGIN and self._may_hold(refined):
+        telling = self._on_witnesses(refined)
+        if telling.worst_excess > max(1.0, candidate.worst_excess):
+            candidate = replace(candidate, worst=telling.worst, worst_excess=telling.worst_excess)
+        elif candidate.excess <= MARGIN:
             candidate = self._verify(refined, DENSE)
             if not candidate.accepted:
                 self._remember_witnesses(refined)
@@ -244,11 +247,13 @@ class _Search:
     def _verify(self, symmetry: Symmetry, count: int) -> SymmetryCandidate:
         return verify(self.surface, symmetry, self.surface.points[:count])
 
-    def _may_hold(self, symmetry: Symmetry) -> bool:
-        """Whether the few hundred most telling points do not refute it yet: a small feature is found only once."""
-        if verify(self.surface, symmetry, self.witnesses).worst_excess > MARGIN:
-            return False
-        return self._verify(symmetry, QUICK).excess <= MARGIN
+    def _on_witnesses(self, symmetry: Symmetry) -> SymmetryCandidate:
+        return verify(self.surface, symmetry, self.witnesses)
+
+    def _promise(self, symmetry: Symmetry) -> float:
+        """The excess of an unrefined hypothesis, by a few points; it is worth refining up to MARGIN."""
+        excess = self._on_witnesses(symmetry).worst_excess
+        return excess if excess > MARGIN else max(excess, self._verify(symmetry, QUICK).excess)
 
     def _remember_witnesses(self, refuted: Symmetry) -> None:
         """Keep the points that land farthest off the surface once turned."""

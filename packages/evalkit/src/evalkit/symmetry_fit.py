@@ -16,8 +16,9 @@ from evalkit.symmetry import Symmetry
 
 Array = NDArray[np.float64]
 
-TYPICAL_TOLERANCE = 0.02  # of the lever: 99 of 100 turned points are nearer to the surface than this
+TYPICAL_TOLERANCE = 0.024  # of the lever: 99 of 100 turned points are nearer to the surface than this
 WORST_TOLERANCE = 0.036  # and all but a handful nearer than this: 1.8 % of a round object's diameter
+HANDFUL = 6  # samples that may deviate more: near-misses of the sampled surface
 DENSE = 40_000  # surface points of a final verification
 ROUGH_LIMIT = 0.12  # mean rough distance beyond which a direction is not worth refining
 SNAP_ANGLE = np.radians(1.0)
@@ -51,13 +52,12 @@ class SymmetryCandidate:
 def verify(surface: Surface, symmetry: Symmetry, points: Array) -> SymmetryCandidate:
     """Judge a hypothesis by the deviation of some `points` (n, 3) of the surface."""
     distance, relative = deviation(surface, symmetry, points)
-    handful = 3 + len(points) // 10_000  # near-misses of the sampled surface
     return SymmetryCandidate(
         symmetry,
         typical=float(np.quantile(distance, 0.99)) * surface.radius,
-        worst=float(np.partition(distance, -handful)[-handful]) * surface.radius,
+        worst=float(np.partition(distance, -HANDFUL)[-HANDFUL]) * surface.radius,
         typical_excess=float(np.quantile(relative, 0.99)) / TYPICAL_TOLERANCE,
-        worst_excess=float(np.partition(relative, -handful)[-handful]) / WORST_TOLERANCE,
+        worst_excess=float(np.partition(relative, -HANDFUL)[-HANDFUL]) / WORST_TOLERANCE,
     )
 
 
