@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+
 from evalkit import poses
 from evalkit.errors import InputError
-from numpy.typing import NDArray
 from simgen.bin import fitting_bin, mean_shadow
 from simgen.config import BinSize, PhysicsConfig
 from simgen.physics import Body, Pile, World, center_of_mass, simulate_pile

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+
 from evalkit import poses
 from evalkit.camera import Camera
-from numpy.typing import NDArray
 from simgen.rasterizer import Rasterizer, Rendering, faces_outward
 
 CAMERA = Camera(160, 120, 150.0, 155.0, 78.3, 60.9)
@@ -153,7 +154,7 @@ def test_more_than_255_instances_keep_their_ids() -> None:
     rng = np.random.default_rng(1)
     mesh = trimesh.creation.icosphere(0, 0.01)
     rendering = render(mesh, random_poses(rng, 700))
-    depth, ids = embree_image(triangles_in_camera(mesh, random_poses(np.random.default_rng(1), 700)), CAMERA)
+    _, ids = embree_image(triangles_in_camera(mesh, random_poses(np.random.default_rng(1), 700)), CAMERA)
     inner = away_from_edges(ids) & (ids > 0)
     assert rendering.instance_id.max() > 255
     assert np.array_equal(rendering.instance_id[inner], ids[inner])

@@ -20,6 +20,8 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from evalkit.errors import InputError
 from evalkit.shards import (
     DATASET_FILE,
@@ -30,8 +32,6 @@ from evalkit.shards import (
     shard_name,
     write_dataset_file,
 )
-from tqdm import tqdm
-
 from simgen.scenes import Job, SceneRenderer, simulate_scene
 
 MAX_BROKEN_POOLS = 3

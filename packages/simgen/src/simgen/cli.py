@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+
 from evalkit.camera import Camera
 from evalkit.command import Commands
 from evalkit.errors import InputError
-
 from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances
 
 
@@ -51,7 +51,7 @@ def build_command(
     workers = len(os.sched_getaffinity(0)) if workers is None else workers
     if workers < 1:
         raise InputError(f"--workers {workers}: must be 1 or more.")
-    from simgen.build import build  # noqa: PLC0415 - numba and PyBullet take a second that --help need not wait for
+    from simgen.build import build  # here, for --help need not wait for numba and PyBullet
     from simgen.meshes import prepare_object
     from simgen.scenes import plan
 

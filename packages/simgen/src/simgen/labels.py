@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
 from evalkit.camera import Camera
 from evalkit.objects import ObjectModel
 from evalkit.scene import Instances
-from numpy.typing import NDArray
-
 from simgen.rasterizer import Rendering
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from evalkit import poses
-from evalkit.errors import InputError
 from numpy.typing import NDArray
 
+from evalkit import poses
+from evalkit.errors import InputError
 from simgen.bin import wall_boxes
 from simgen.bullet import pybullet
 from simgen.config import BinSize, PhysicsConfig

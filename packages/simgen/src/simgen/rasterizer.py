@@ -14,10 +14,11 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from evalkit.camera import Camera
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+
+from evalkit.camera import Camera
 
 BITS = 12
 SUBPIXEL = 1 << BITS
@@ -65,7 +66,7 @@ class Rasterizer:
         self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self._vertices, self._faces = _as_mesh(vertices, faces)
         self._background = _as_mesh(*background)
-        self._cull = faces_outward(self._vertices, self._faces)
+        self._cull = faces_outward(vertices, faces)
         low, high = self._vertices.min(0), self._vertices.max(0)
         self._middle, self._radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         self._near = NEAR_PER_EXTENT * self._radius

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
+from numpy.typing import NDArray
+
 from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
-
 from simgen.bin import bin_mesh, fitting_bin, ground_half_side, mean_shadow
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
@@ -53,8 +54,8 @@ def plan(config: BuildConfig, prepared: PreparedObject) -> Job:
     Raises:
         InputError: the object is larger than the bin.
     """
-    diameter = prepared.model.diameter
-    size = config.bin or fitting_bin(diameter, mean_shadow(prepared.model.vertices), config.instances_max)
+    diameter, (vertices, _) = prepared.model.diameter, _mesh_of(prepared.model)
+    size = config.bin or fitting_bin(diameter, mean_shadow(vertices), config.instances_max)
     if min(size.width, size.depth) < diameter:
         raise InputError(
             f"--bin {size}: the object '{prepared.model.name}' is {diameter:g} m across; "
@@ -92,10 +93,8 @@ class SceneRenderer:
     """Turns scenes into labelled views; needs no physics."""
 
     def __init__(self, job: Job) -> None:
-        if job.model.vertices is None or job.model.faces is None:
-            raise InputError(f"object '{job.model.name}' has no mesh; rendering needs one.")
         self._camera, self._unit, self._model = job.config.camera, job.depth_unit, job.model
-        self._rasterizer = Rasterizer(self._camera, job.model.vertices, job.model.faces, bin_mesh(job.bin))
+        self._rasterizer = Rasterizer(self._camera, *_mesh_of(job.model), bin_mesh(job.bin))
 
     def views(self, scene: Scene) -> Iterator[View]:
         """The scene's frames, one for each of its cameras."""
@@ -115,10 +114,16 @@ class SceneRenderer:
             )
 
 
+def _mesh_of(model: ObjectModel) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    if model.vertices is None or model.faces is None:
+        raise InputError(f"object '{model.name}' has no mesh; give a mesh file to --object.")
+    return model.vertices, model.faces
+
+
 def _fingerprint(prepared: PreparedObject) -> str:
     """SHA-256 of the geometry that is drawn and of the hulls that fall."""
     digest = hashlib.sha256()
-    meshes = [(prepared.model.vertices, prepared.model.faces), *prepared.convex_parts]
+    meshes = [_mesh_of(prepared.model), *prepared.convex_parts]
     for array in (array for mesh in meshes for array in mesh):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

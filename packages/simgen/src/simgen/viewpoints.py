@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from evalkit import poses
-from evalkit.camera import Camera
 from numpy.typing import NDArray
 
+from evalkit import poses
+from evalkit.camera import Camera
 from simgen.config import BinSize, ViewpointConfig
 
 Array = NDArray[np.float64]
