@@ -24,7 +24,7 @@ BITS = 12
 SUBPIXEL = 1 << BITS
 GUARD = float(1 << 17)  # pixels; triangles are clipped there, so that snapped coordinates fit 32 bits, edges 64
 WIDE = 16  # pixels; in triangles at least as wide, each row's ends are solved for instead of searched
-BEYOND_FRAME = 1  # windows reach this many frames beyond each border; nothing sane is larger
+BEYOND_FRAME = 1  # what is larger than the frame is counted this many frames beyond each border
 NEAR_PER_EXTENT = 1e-3  # near plane, as a share of the mesh's extent
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
@@ -131,10 +131,15 @@ def faces_outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> bo
 
 @_compiled
 def _draw_tame(vertices, faces, cam_from_obj, intrinsics, cull, window, out):  # type: ignore[no-untyped-def]
-    """Draw 1/z of a mesh that needs no clipping into `out`; the box whose corner `out[0, 0]` is, within `window`."""
+    """Draw 1/z of a mesh that needs no clipping into `out`; returns the box of pixels whose corner is `out[0, 0]`.
+
+    It is drawn whole wherever it lies, unless it is larger than `window`: then only what is within it.
+    """
     count = len(vertices)
     xs, ys, nearness = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count)
-    box = _intersection(_project(vertices, cam_from_obj, intrinsics, xs, ys, nearness), window)
+    box = _project(vertices, cam_from_obj, intrinsics, xs, ys, nearness)
+    if box[2] - box[0] > window[2] - window[0] or box[3] - box[1] > window[3] - window[1]:
+        box = _intersection(box, window)
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         _fill(xs[a], ys[a], nearness[a], xs[b], ys[b], nearness[b], xs[c], ys[c], nearness[c], cull, box, out)
