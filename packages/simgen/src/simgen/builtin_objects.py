@@ -11,7 +11,7 @@ import pybullet_data
 import trimesh
 from numpy.typing import NDArray
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 BUNNY_METRES_PER_UNIT = 0.05  # nose to tail 1.97 units in the file: a 10 cm bunny
 
 
@@ -29,7 +29,7 @@ def bunny() -> Mesh:
     mesh = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "bunny.obj", process=False)
     vertices, faces = trimesh.remesh.subdivide_loop(mesh.vertices, mesh.faces, iterations=1)
     x, y, z = np.asarray(vertices, float).T * BUNNY_METRES_PER_UNIT
-    return np.stack([x, -z, y], -1), np.asarray(faces, np.int32)
+    return np.stack([x, -z, y], -1), np.asarray(faces, np.int64)
 
 
 BUILTIN_OBJECTS: dict[str, BuiltinObject] = {

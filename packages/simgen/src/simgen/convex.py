@@ -4,44 +4,58 @@ from __future__ import annotations
 
 import hashlib
 import os
+import subprocess
+import sys
+import tempfile
 import zipfile
+import zlib
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import coacd
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
+from simgen.mesh_mending import closed
 
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
-CONCAVITY = 0.15  # CoACD's threshold, on a mesh scaled into the cube [-1, 1]
-MAX_PARTS = 32
-MAX_PART_VERTICES = 64  # Bullet's hull code slows down and loses precision beyond
-MAX_INPUT_FACES = 20_000  # CoACD's time grows with it, the parts do not change
-SEED = 0
-CACHE_VERSION = 1
+COACD_OPTIONS: dict[str, Any] = {
+    "threshold": 0.15,  # concavity on a mesh of unit size: 8 parts for the bunny
+    "max_convex_hull": 32,
+    "decimate": True,
+    "max_ch_vertex": 64,  # Bullet's hull code slows down and loses precision beyond
+    "mcts_iterations": 60,  # half of CoACD's time for the same parts
+    "resolution": 1000,
+    "seed": 0,
+}
+MAX_FACES = 5_000  # CoACD's time grows with them, the parts hardly change
+TIME_LIMIT_S = 300.0
+CACHE_VERSION = 2
 
 
-def convex_parts(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[list[Part], list[str]]:
+class ConvexPartsError(Exception):
+    """CoACD gave no parts; the message says why."""
+
+
+def convex_parts(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[list[Part], list[str]]:
     """Convex parts that together follow the surface, each (vertices (V, 3), faces (F, 3)), and warnings.
 
     The same for the same mesh. Where CoACD fails, the one convex hull of everything.
     """
     path, warnings = _cache_path(vertices, faces), list[str]()
-    cached = _read(path)
-    if cached:
-        return cached, warnings
+    parts = _read(path)
+    if parts:
+        return parts, warnings
     try:
         parts = _decompose(vertices, faces)
-    except Exception as error:  # CoACD raises what its C++ threw
+    except ConvexPartsError as error:
         warnings.append(
-            f"CoACD could not split the mesh into convex parts ({error}); its convex hull stands in, so hollows are "
-            "filled in the physics."
+            f"The mesh could not be split into convex parts ({error}); its convex hull stands in, so the physics "
+            "fills its hollows."
         )
-        return [_hull(vertices[np.unique(faces)])], warnings
+        return [_hull(vertices)], warnings
     try:
         _write(path, parts)
     except OSError as error:
@@ -56,25 +70,44 @@ def cache_folder() -> Path:
     return Path(base) / "binpose" / "convex"
 
 
-def _decompose(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> list[Part]:
-    """CoACD on the mesh scaled to unit size, so that its tolerances mean the same for a screw and a crate."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if len(faces) > MAX_INPUT_FACES:
-        mesh = mesh.simplify_quadric_decimation(face_count=MAX_INPUT_FACES)
-    center, size = mesh.bounds.mean(0), float(mesh.extents.max())
+def _decompose(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Part]:
+    """CoACD on the mesh scaled to unit size, so that its tolerances mean the same for a screw and a crate.
+
+    In a process of its own: it prints from C++, cannot be interrupted, and may crash on a bad mesh.
+    """
+    low, high = vertices.min(0), vertices.max(0)
+    center, size = (low + high) / 2, float((high - low).max())
+    unit = _simplified((vertices - center) / size, faces)
+    with tempfile.TemporaryDirectory(prefix="binpose-convex-") as folder:
+        mesh_file, parts_file = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
+        np.savez(mesh_file, vertices=unit.vertices, faces=unit.faces)
+        command = [sys.executable, "-m", "simgen.convex", str(mesh_file), str(parts_file)]
+        try:
+            done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            raise ConvexPartsError(f"CoACD took longer than {TIME_LIMIT_S:g} s") from None
+        parts = _read(parts_file)
+        if not parts:
+            raise ConvexPartsError(f"CoACD failed with exit code {done.returncode}")
+    return [(points * size + center, triangles) for points, triangles in parts]
+
+
+def _simplified(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> trimesh.Trimesh:
+    """A closed mesh of at most about MAX_FACES."""
+    mesh = trimesh.Trimesh(*closed(vertices, faces), process=False)
+    return mesh.simplify_quadric_decimation(face_count=MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
+
+
+def _run_coacd(mesh_file: Path, parts_file: Path) -> None:
+    """What the child process does."""
+    import coacd
+
+    with np.load(mesh_file, allow_pickle=False) as archive:
+        mesh = trimesh.Trimesh(archive["vertices"], archive["faces"], process=False)
     coacd.set_log_level("off")
-    raw = coacd.run_coacd(
-        coacd.Mesh((mesh.vertices - center) / size, mesh.faces),
-        threshold=CONCAVITY,
-        max_convex_hull=MAX_PARTS,
-        decimate=True,
-        max_ch_vertex=MAX_PART_VERTICES,
-        seed=SEED,
-    )
-    parts = [(np.asarray(v, float) * size + center, np.asarray(f, np.int32)) for v, f in raw]
-    if not parts:
-        raise ValueError("it returned no part")
-    return parts
+    preprocess = "off" if mesh.is_watertight else "auto"  # remeshing a sound mesh costs a minute and rounds it
+    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), preprocess_mode=preprocess, **COACD_OPTIONS)
+    _write(parts_file, [(np.asarray(points, float), np.asarray(triangles, np.int32)) for points, triangles in parts])
 
 
 def _hull(points: NDArray[np.float64]) -> Part:
@@ -82,21 +115,27 @@ def _hull(points: NDArray[np.float64]) -> Part:
     return np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
 
 
-def _cache_path(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Path:
-    key = f"{CACHE_VERSION} {version('coacd')} {CONCAVITY} {MAX_PARTS} {MAX_PART_VERTICES} {MAX_INPUT_FACES} {SEED}"
+def _cache_path(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Path:
+    key = f"{CACHE_VERSION} {version('coacd')} {MAX_FACES} {sorted(COACD_OPTIONS.items())}"
     digest = hashlib.sha256(key.encode())
     digest.update(np.ascontiguousarray(vertices, "<f8").tobytes())
-    digest.update(np.ascontiguousarray(faces, "<i4").tobytes())
+    digest.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return cache_folder() / f"{digest.hexdigest()[:32]}.npz"
 
 
 def _read(path: Path) -> list[Part]:
-    """The cached parts; none when there are none or the file is damaged."""
+    """The parts in a file; none where it is missing or damaged."""
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return [(archive[f"vertices_{i}"], archive[f"faces_{i}"]) for i in range(len(archive.files) // 2)]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            parts = [(archive[f"vertices_{i}"], archive[f"faces_{i}"]) for i in range(len(archive.files) // 2)]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return []
+    return parts if all(_is_part(*part) for part in parts) else []
+
+
+def _is_part(vertices: NDArray[Any], faces: NDArray[Any]) -> bool:
+    shapes = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and len(vertices) > 3
+    return shapes and np.isfinite(vertices).all() and faces.min(initial=0) >= 0 and faces.max(initial=0) < len(vertices)
 
 
 def _write(path: Path, parts: list[Part]) -> None:
@@ -105,3 +144,7 @@ def _write(path: Path, parts: list[Part]) -> None:
         arrays[f"vertices_{i}"], arrays[f"faces_{i}"] = vertices, faces
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+if __name__ == "__main__":
+    _run_coacd(Path(sys.argv[1]), Path(sys.argv[2]))
