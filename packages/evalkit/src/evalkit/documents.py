@@ -36,6 +36,7 @@ GT_FORMAT = "binpose-gt/1"
 PREDS_FORMAT = "binpose-preds/1"
 FRAMES = ("camera", "world")
 ROTATION_TOLERANCE = 5e-3  # published matrices are rounded to as few as three digits
+LARGEST = 1e9  # seconds or metres; the integers that JSON may hold are no floats beyond 1e308
 FARTHEST = 50.0  # metres; a bin-picking camera looks at nothing beyond, but millimetres read as metres lie there
 
 
@@ -333,7 +334,7 @@ def _time(path: Path | str, entry: dict[str, Any]) -> float | None:
     time_s = entry.get("time_s")
     if time_s is None:
         return None
-    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s < float("inf"):
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s <= LARGEST:
         raise InputError(f"{path}: image '{entry['id']}': the field 'time_s' must be seconds, zero or more.")
     return float(time_s)
 
@@ -351,7 +352,7 @@ def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
         raise InputError(f"{path}: the field 'object' must be the object's name, or hold its 'name'.")
     if isinstance(reference, dict):
         diameter = reference.get("diameter", 1.0)
-        if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter < float("inf"):
+        if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter <= LARGEST:
             raise InputError(f"{path}: object: the field 'diameter' must be a positive number of metres.")
         return reference
     return name
