@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -20,9 +20,11 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from evalkit.errors import InputError
+from evalkit.scene import Scene
 from evalkit.shards import (
     DATASET_FILE,
     ShardReader,
@@ -33,6 +35,7 @@ from evalkit.shards import (
     write_dataset_file,
 )
 from simgen.scenes import Job, SceneRenderer, simulate_scene
+from simgen.viewpoints import draw_viewpoints
 
 MAX_BROKEN_POOLS = 3
 POLL_SECONDS = 0.2
@@ -68,25 +71,26 @@ def build(job: Job, folder: Path, workers: int) -> BuildReport:
         InputError: the folder holds another dataset, another build is at work in it, or workers keep dying.
         OSError: the folder cannot be written.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; choose a folder with -o.")
     folder.mkdir(parents=True, exist_ok=True)
     with _alone_in(folder):
         _claim(folder, job)
-        for leftover in folder.glob(".shard-*.tmp"):
-            leftover.unlink()
+        _remove_leftovers(folder)
         report = BuildReport()
         missing = _missing_shards(folder, job, report)
-        scenes = sum(len(job.config.scenes_of_shard(shard)) for shard in missing)
-        try:
-            with tqdm(total=scenes, unit="scene", disable=not missing) as bar:
-                _build_shards(job, folder, missing, workers, report, bar)
-        finally:
-            for leftover in folder.glob(".shard-*.tmp"):
-                leftover.unlink(missing_ok=True)
+        if missing:
+            _compile(job)
+            try:
+                with tqdm(total=_scenes(job, missing), unit="scene") as bar:
+                    _build_shards(job, folder, missing, workers, report, bar)
+            finally:
+                _remove_leftovers(folder)
     return report
 
 
-def build_shard(job: Job, folder: Path, shard: int, on_scene: Callable[[], None] | None = None) -> ShardReport:
-    """Simulate, render and write one shard; `on_scene` is called after each scene."""
+def build_shard(job: Job, folder: Path, shard: int) -> ShardReport:
+    """Simulate, render and write one shard; the unit of work that a local process or a cluster's worker gets."""
     numbers = job.config.scenes_of_shard(shard)
     renderer, redone = SceneRenderer(job), 0
     frames = len(numbers) * job.config.views
@@ -96,7 +100,7 @@ def build_shard(job: Job, folder: Path, shard: int, on_scene: Callable[[], None]
             redone += attempts - 1
             for view in renderer.views(scene):
                 writer.append(view)
-            (on_scene or _count_scene)()
+            _count_scene()
     return ShardReport(shard, len(numbers), redone)
 
 
@@ -108,11 +112,12 @@ def _claim(folder: Path, job: Job) -> None:
     """
     header = job.header()
     if (folder / DATASET_FILE).exists():
-        difference = _first_difference(read_dataset_file(folder)["config"], header.config)
+        document = read_dataset_file(folder)
+        difference = _first_difference(_identity(document.get("config"), document.get("object")), _own_identity(job))
         if difference is not None:
             raise InputError(
-                f"{folder}: holds a dataset of another configuration ({difference}); choose another folder with -o, "
-                "or repeat the command that it was built with."
+                f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
+                "or repeat the command that this one was built with."
             )
         return
     if any(folder.glob("shard-*.h5")):
@@ -123,6 +128,17 @@ def _claim(folder: Path, job: Job) -> None:
         for numbers in [job.config.scenes_of_shard(shard)]
     ]
     write_dataset_file(folder, header, shards)
+
+
+def _own_identity(job: Job) -> dict[str, Any]:
+    header = job.header()
+    return _identity(header.config, header.object.to_json())
+
+
+def _identity(config: Any, model: Any) -> dict[str, Any]:
+    """What tells datasets apart, from the JSON forms of config and object."""
+    known = model if isinstance(model, dict) else {}
+    return {"config": config, "object": {key: known.get(key) for key in ("name", "diameter", "symmetry")}}
 
 
 def _first_difference(theirs: Any, ours: Any, name: str = "") -> str | None:
@@ -137,51 +153,70 @@ def _first_difference(theirs: Any, ours: Any, name: str = "") -> str | None:
 
 
 def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
-    missing = []
+    missing, identity = [], _own_identity(job)
     for shard in range(job.config.shards):
         path = folder / shard_name(shard)
-        if not path.exists():
-            missing.append(shard)
-        elif _is_intact(path, job):
+        if path.exists() and _is_intact(path, identity):
             report.kept += 1
-        else:
+            continue
+        missing.append(shard)
+        if path.exists():
             report.damaged.append(path.name)
-            missing.append(shard)
     return missing
 
 
-def _is_intact(path: Path, job: Job) -> bool:
+def _is_intact(path: Path, identity: dict[str, Any]) -> bool:
     if checksum_problem(path) is not None:
         return False
     try:
         with ShardReader(path) as reader:
-            return bool(reader.header.config == job.header().config)
+            return _identity(reader.header.config, reader.header.object.to_json()) == identity
     except InputError:
         return False
 
 
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what a killed build was writing; nobody else is at work here."""
+    for pattern in (".shard-*.tmp", f".{DATASET_FILE}.*.tmp"):
+        for leftover in folder.glob(pattern):
+            leftover.unlink(missing_ok=True)
+
+
+def _scenes(job: Job, shards: Iterable[int]) -> int:
+    return sum(len(job.config.scenes_of_shard(shard)) for shard in shards)
+
+
+def _compile(job: Job) -> None:
+    """Render one instance here, so that the workers find the compiled code instead of each compiling it."""
+    camera = draw_viewpoints(job.config.viewpoints, job.config.camera, job.bin, job.model.diameter, 0, 0, 1)
+    for _ in SceneRenderer(job).views(Scene(0, np.eye(4)[None], camera)):
+        pass
+
+
 def _build_shards(job: Job, folder: Path, shards: list[int], workers: int, report: BuildReport, bar: tqdm[Any]) -> None:
     """Run the tasks on local processes; those that a dying worker took along are handed to a new pool."""
-    remaining = set(shards)
+    remaining, broken_in_a_row = set(shards), 0
     while remaining:
         try:
             with _local_pool(min(workers, len(remaining)), bar) as executor:
                 for finished in _run(executor, job, folder, sorted(remaining)):
                     remaining.discard(finished.shard)
                     report.written.append(finished)
+                    broken_in_a_row = 0
         except BrokenProcessPool:
             report.broken_pools += 1
-            if report.broken_pools > MAX_BROKEN_POOLS:
+            broken_in_a_row += 1
+            if broken_in_a_row > MAX_BROKEN_POOLS:
                 raise InputError(
                     "worker processes keep being killed, most likely for lack of memory; "
                     "run the same command again with fewer --workers."
                 ) from None
-        bar.n = bar.total - sum(len(job.config.scenes_of_shard(shard)) for shard in remaining)
+        bar.n = bar.total - _scenes(job, remaining)
         bar.refresh()
 
 
 def _run(executor: Executor, job: Job, folder: Path, shards: list[int]) -> Iterator[ShardReport]:
-    """Any executor of `concurrent.futures` will do."""
+    """Build shards on any executor of `concurrent.futures`, and report them as they are done."""
     futures: list[Future[ShardReport]] = [executor.submit(build_shard, job, folder, shard) for shard in shards]
     for future in as_completed(futures):
         yield future.result()
@@ -203,6 +238,7 @@ def _local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
         executor.shutdown(wait=False, cancel_futures=True)
         for process in multiprocessing.active_children():
             process.terminate()
+            process.join()
         raise
     finally:
         stop.set()
@@ -211,7 +247,8 @@ def _local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
 
 def _show(bar: tqdm[Any], start: int, counter: Any, stop: threading.Event) -> None:
     while not stop.wait(POLL_SECONDS):
-        bar.update(start + counter.value - bar.n)
+        if (done := start + counter.value) > bar.n:
+            bar.update(done - bar.n)
 
 
 _scenes_done: Any = None

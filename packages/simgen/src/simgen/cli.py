@@ -58,7 +58,7 @@ def build_command(
     prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry)
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
-    job = plan(config, prepared)
+    job = plan(config, prepared.model, prepared.convex_parts)
     model = job.model
     click.echo(
         f"{model.name}: diameter {model.diameter:.4g} m, symmetry {model.symmetry.name}, "

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
@@ -18,8 +17,7 @@ from evalkit.shards import ShardHeader
 from simgen.bin import bin_mesh, fitting_bin, ground_half_side, mean_shadow
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
-from simgen.meshes import PreparedObject
-from simgen.physics import Body, simulate_pile
+from simgen.physics import Body, Part, simulate_pile
 from simgen.rasterizer import Rasterizer
 from simgen.viewpoints import distance_range, draw_viewpoints
 
@@ -35,35 +33,32 @@ class Job:
 
     config: BuildConfig
     bin: BinSize
-    object: PreparedObject
+    model: ObjectModel
+    convex_parts: list[Part]
     depth_unit: float
 
-    @property
-    def model(self) -> ObjectModel:
-        return self.object.model
-
     def header(self) -> ShardHeader:
-        config = self.config.to_json() | {"object_sha256": _fingerprint(self.object)}
+        config = self.config.to_json() | {"geometry_sha256": _fingerprint([_mesh_of(self.model), *self.convex_parts])}
         software = {name: version(name) for name in SOFTWARE}
         return ShardHeader(self.config.camera, self.depth_unit, self.model, config, self.config.seed, software)
 
 
-def plan(config: BuildConfig, prepared: PreparedObject) -> Job:
+def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> Job:
     """Settle what depends on the object's size: the bin, where it is automatic, and the depth unit.
 
     Raises:
         InputError: the object is larger than the bin.
     """
-    diameter, (vertices, _) = prepared.model.diameter, _mesh_of(prepared.model)
+    diameter, (vertices, _) = model.diameter, _mesh_of(model)
     size = config.bin or fitting_bin(diameter, mean_shadow(vertices), config.instances_max)
     if min(size.width, size.depth) < diameter:
         raise InputError(
-            f"--bin {size}: the object '{prepared.model.name}' is {diameter:g} m across; "
+            f"--bin {size}: the object '{model.name}' is {diameter:g} m across; "
             "give a bin whose width and depth are larger, in metres, or --bin auto."
         )
     _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
     unit = depth_unit_for(farthest + math.sqrt(2) * ground_half_side(size), diameter)
-    return Job(replace(config, bin=size), size, prepared, unit)
+    return Job(replace(config, bin=size), size, model, convex_parts, unit)
 
 
 def depth_unit_for(farthest: float, diameter: float) -> float:
@@ -80,7 +75,7 @@ def depth_unit_for(farthest: float, diameter: float) -> float:
 def simulate_scene(job: Job, index: int) -> tuple[Scene, int]:
     """Scene number `index`, its instances at rest and its cameras placed; and how many drops it took."""
     config, diameter = job.config, job.model.diameter
-    body = Body.from_parts(job.object.convex_parts, config.physics.simulated_diameter)
+    body = Body.from_parts(job.convex_parts, config.physics.simulated_diameter)
     instances = (config.instances_min, config.instances_max)
     pile = simulate_pile(body, job.bin, instances, config.physics, config.seed, index)
     cam_from_world = draw_viewpoints(
@@ -114,16 +109,15 @@ class SceneRenderer:
             )
 
 
-def _mesh_of(model: ObjectModel) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _mesh_of(model: ObjectModel) -> Part:
     if model.vertices is None or model.faces is None:
         raise InputError(f"object '{model.name}' has no mesh; give a mesh file to --object.")
     return model.vertices, model.faces
 
 
-def _fingerprint(prepared: PreparedObject) -> str:
+def _fingerprint(meshes: list[Part]) -> str:
     """SHA-256 of the geometry that is drawn and of the hulls that fall."""
     digest = hashlib.sha256()
-    meshes = [_mesh_of(prepared.model), *prepared.convex_parts]
     for array in (array for mesh in meshes for array in mesh):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
