@@ -53,8 +53,8 @@ def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> None:
     network.train()
     for step in range(steps + 2):
         numbers = np.arange(step * size, (step + 1) * size) % len(frames.dataset)
-        batch: Batch = _timed(rows, "load", lambda numbers=numbers: frames.batch(numbers))
-        loss = _timed(rows, "forward", lambda batch=batch: losses.total(network(batch), network.config.loss))
+        batch: Batch = _timed(rows, "load", frames.batch, numbers)
+        loss = _timed(rows, "forward", _loss, network, batch)
         _timed(rows, "backward", loss.backward)
         _timed(rows, "optimiser", optimizer.step)
         optimizer.zero_grad(set_to_none=True)
@@ -73,23 +73,21 @@ def bench_prediction(network: PoseNetwork, frames: Frames, steps: int) -> None:
     for step in range(steps + 2):
         view = frames.dataset[step]
         batch = frames.batch(np.array([step]))
-        _timed(rows, "network", lambda batch=batch: network.predict(batch.depth, batch.intrinsics))
-        truth = view.instances.cam_from_obj
-        _timed(
-            rows,
-            "refine 100",
-            lambda view=view, truth=truth: refiner.refine(
-                view.depth, view.camera, np.resize(truth, (100, 4, 4)), np.ones(100)
-            ),
-        )
+        _timed(rows, "network", network.predict, batch.depth, batch.intrinsics)
+        truth = np.resize(view.instances.cam_from_obj, (100, 4, 4))
+        _timed(rows, "refine 100", refiner.refine, view.depth, view.camera, truth, np.ones(100))
     print("prediction, one image of 320 x 240")
     for name, values in rows.items():
         print(f"  {name:<10}{statistics.median(values[2:]) * 1e3:7.1f} ms")
 
 
-def _timed(rows: dict[str, list[float]], name: str, work: Callable[[], Any]) -> Any:
+def _loss(network: PoseNetwork, batch: Batch) -> torch.Tensor:
+    return losses.total(network(batch), network.config.loss)
+
+
+def _timed(rows: dict[str, list[float]], name: str, work: Callable[..., Any], *arguments: Any) -> Any:
     started = time.perf_counter()
-    result = work()
+    result = work(*arguments)
     rows.setdefault(name, []).append(time.perf_counter() - started)
     return result
 

@@ -21,6 +21,7 @@ PRIOR = (
 )
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
+CANDIDATES = 256  # cells of an image whose boxes enter suppression
 REACH = 1  # cells around a centre that learn its box
 
 
@@ -55,7 +56,7 @@ class HeatmapDetector(Detector):
         *,
         max_detections: int = 64,
         min_score: float = 0.05,
-        nms_iou: float = 0.6,
+        nms_iou: float = 0.5,
         box_weight: float = 0.5,
     ) -> None:
         super().__init__()
@@ -97,11 +98,10 @@ class HeatmapDetector(Detector):
 
     @torch.no_grad()
     def detect(self, raw: HeatmapOutputs) -> list[Detections]:
-        probability = raw.logits.sigmoid()
-        highest_around = F.max_pool2d(probability[:, None], 3, stride=1, padding=1)[:, 0]
-        peaks = torch.where(probability == highest_around, probability, torch.zeros_like(probability)).flatten(1)
-        count = min(self.max_detections, peaks.shape[1])
-        scores, cells = peaks.topk(count)
+        # Cells that are no local maximum stay in: in a heap two centres can lie in neighbouring cells, and the boxes of
+        # one instance that such cells propose are so alike that suppression leaves one of them.
+        probability = raw.logits.sigmoid().flatten(1)
+        scores, cells = probability.topk(min(CANDIDATES, probability.shape[1]))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
         boxes = clip_boxes(boxes, *raw.image_size)
         return [self._thinned(*image) for image in zip(boxes, scores, strict=True)]
@@ -109,7 +109,7 @@ class HeatmapDetector(Detector):
     def _thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
         usable = (scores >= self.min_score) & (boxes[:, 2:] > boxes[:, :2]).all(-1)
         boxes, scores = boxes[usable], scores[usable]
-        kept = nms(boxes, scores, self.nms_iou)
+        kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
         return Detections(boxes[kept], scores[kept])
 
     def _initialise(self) -> None:

@@ -124,8 +124,7 @@ class PoseNetwork(nn.Module):
         image_size = batch.depth.shape[-2:]
         find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
         with self._autocast():
-            raw = self.detector(features, image_size)
-        found = self.detector.losses(raw, find, ignore)
+            found = self.detector.losses(self.detector(features, image_size), find, ignore)
         sample = targets.sample_regions(batch, self.config.train)
         regions = self._regions(batch.depth, batch.intrinsics, sample.boxes, sample.image_index)
         regions, truth = regions.select(regions.valid), sample.poses[regions.valid]
@@ -188,8 +187,7 @@ class PoseNetwork(nn.Module):
     ) -> Iterator[tuple[PoseOutputs, Hypotheses, Detections]]:
         """For each image its detections, what was read off them, and the hypotheses that follow."""
         with self._autocast():
-            raw = self.detector(features, depth.shape[-2:])
-        detections = self.detector.detect(raw)
+            detections = self.detector.detect(self.detector(features, depth.shape[-2:]))
         index = torch.cat([torch.full((len(d.scores),), i, device=depth.device) for i, d in enumerate(detections)])
         boxes, scores = torch.cat([d.boxes for d in detections]), torch.cat([d.scores for d in detections])
         regions = self._regions(depth, intrinsics, boxes, index)
@@ -235,7 +233,7 @@ class PoseNetwork(nn.Module):
             rotation, center = self.codec.canonical(truth)
             distances = self.distance.between(few.rotation, few.center, rotation, center)
             if self.confidence is not None and len(few):
-                right = (distances.amin(1) < self.model.threshold).float()
+                right = (distances < self.model.threshold).any(1).float()
                 sums["confidence"].append(nn.functional.binary_cross_entropy_with_logits(image.logit, right))
             if image.registered is not None and len(few):
                 wanted = registration_targets(

@@ -52,6 +52,7 @@ def fit(options: FitOptions) -> RunFolder:
     Raises:
         InputError: the shards, the options or the folder cannot be used, or the loss became NaN.
     """
+    choose_device(options.device)
     frames = Frames(list(options.shards))
     config = options.config
     share = config.train.validation_share if options.validate else 0.0
@@ -94,13 +95,15 @@ class Trainer:
         main, scoring = _optimizers(network, options.config)
         self.module, self.main, *rest = self.fabric.setup(self.network, main, *([scoring] if scoring else []))
         self.scoring = rest[0] if rest else None
-        self.step, self.images, self.best_ap = 0, 0, -1.0
+        self.step, self.images, self.best_ap, self.finished = 0, 0, -1.0, False
         self.validations: list[dict[str, float]] = []
         self.budget = self._budget()
         self.meter = _LossMeter()
 
     def train(self) -> None:
-        """Run to the end of the budget; a resumed and finished run trains no more."""
+        """Run to the end of the budget; a finished run trains no more."""
+        if self.finished:
+            return
         bar = tqdm(total=100.0, desc="fit", bar_format=_BAR, initial=0.0, mininterval=0.5)
         saved = time.monotonic()
         try:
@@ -134,6 +137,7 @@ class Trainer:
                 "seconds": self.budget.seconds,
                 "best_ap": self.best_ap,
                 "validations": self.validations,
+                "finished": self.finished,
                 "weights": self.network.state_dict(),
                 "main": self.main.state_dict(),
                 "scoring": self.scoring.state_dict() if self.scoring else None,
@@ -149,7 +153,7 @@ class Trainer:
             self.scoring.load_state_dict(state["scoring"])
         torch.set_rng_state(state["random"])
         self.step, self.images, self.best_ap = state["step"], state["images"], state["best_ap"]
-        self.validations = state["validations"]
+        self.validations, self.finished = state["validations"], state["finished"]
         self.budget.spent_before = state["seconds"]
 
     def _budget(self) -> Budget:
@@ -203,11 +207,11 @@ class Trainer:
         )
 
     def _log(self, found: dict[str, Tensor], loss: Tensor, factor: float) -> None:
-        self.meter.add(float(loss))
+        self.meter.add(float(loss.detach()))
         if self.step % LOG_EVERY == 0:
-            values = {f"loss/{name}": float(value) for name, value in found.items()}
+            values = {f"loss/{name}": float(value.detach()) for name, value in found.items()}
             rates = {"train/rate": factor, "train/images_per_second": self.meter.rate * self.config.batch_images}
-            self.logger.log_metrics({"loss/total": float(loss), **values, **rates}, self.step)
+            self.logger.log_metrics({"loss/total": float(loss.detach()), **values, **rates}, self.step)
 
     def _status(self) -> str:
         ap = f", AP {self.validations[-1]['ap']:.3f}" if self.validations else ""
@@ -235,12 +239,12 @@ class Trainer:
             self._save_model()
 
     def _finish(self) -> None:
-        if len(self.validations) < self.config.validations or not self.run.model.exists():
-            if len(self.split.validation):
-                self._validate()
-            else:
-                self._save_model()
-            self.save()
+        if len(self.split.validation):
+            self._validate()
+        else:
+            self._save_model()
+        self.finished = True
+        self.save()
         self.logger.finalize("success")
 
     def _save_model(self) -> None:
@@ -282,7 +286,7 @@ def _optimizers(network: PoseNetwork, config: Config) -> tuple[torch.optim.Optim
     kind = torch.optim.AdamW if config.train.optimizer == "adamw" else torch.optim.Adam
 
     def optimizer(parameters: list[torch.nn.Parameter]) -> torch.optim.Optimizer:
-        return kind(parameters, lr=config.train.learning_rate, weight_decay=config.train.weight_decay)
+        return kind(parameters, lr=config.train.learning_rate, weight_decay=config.train.weight_decay, fused=True)
 
     scoring = list(network.scoring_parameters())
     return optimizer(list(network.main_parameters())), optimizer(scoring) if scoring else None
