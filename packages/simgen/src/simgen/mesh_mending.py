@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -48,7 +49,7 @@ def mend(vertices: Vertices, faces: Faces) -> MendedMesh:
         components,
         open_edges=int((counts == 1).sum()),
         crowded_edges=int((counts > 2).sum()),
-        volume=_volume(vertices, faces),
+        volume=signed_volume(vertices, faces),
         warnings=warnings,
     )
     _note_flaws(mesh)
@@ -120,7 +121,7 @@ def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> Fa
         faces = np.asarray(mesh.faces, np.int64)
         alike = _wound_alike(faces)
         warnings.append(f"The faces were not wound alike; {'mended' if alike else 'mended as far as possible'}.")
-    if _volume(vertices, faces) < 0:
+    if signed_volume(vertices, faces) < 0:
         warnings.append("The mesh was inside out; its faces have been turned round.")
         return faces[:, ::-1].copy()
     return faces
@@ -156,7 +157,7 @@ def _count_components(vertex_count: int, faces: Faces) -> int:
     return int(connected_components(graph, directed=False)[0])
 
 
-def _volume(vertices: Vertices, faces: Faces) -> float:
+def signed_volume(vertices: Vertices, faces: NDArray[np.integer[Any]]) -> float:
     """Signed volume under the faces, seen from the middle of the vertices."""
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
