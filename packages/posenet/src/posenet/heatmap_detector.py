@@ -1,4 +1,4 @@
-"""A one-stage detector: instances are peaks of a heatmap of box centres.
+"""A one-stage detector: a heatmap says which cells hold the centre of an instance's box, and each cell says which box.
 
 After CenterNet (Zhou et al. 2019, "Objects as Points"), with the box as distances to its sides as in FCOS (Tian
 et al. 2019).
@@ -21,8 +21,8 @@ PRIOR = (
 )
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
-CANDIDATES = 256  # cells of an image whose boxes enter suppression
 REACH = 1  # cells around a centre that learn its box
+LEAST_SIDE = 1.0  # pixels; a box thinner than this is dropped
 
 
 class HeatmapOutputs(NamedTuple):
@@ -55,14 +55,16 @@ class HeatmapDetector(Detector):
         object_size: float,
         *,
         max_detections: int = 64,
-        min_score: float = 0.05,
-        nms_iou: float = 0.5,
+        candidates: int = 256,
+        min_score: float = 0.1,
+        nms_iou: float = 0.55,
         box_weight: float = 0.5,
     ) -> None:
         super().__init__()
         self.stride = stride
         self.object_size = object_size
         self.max_detections = max_detections
+        self.candidates = candidates
         self.min_score = min_score
         self.nms_iou = nms_iou
         self.box_weight = box_weight
@@ -98,16 +100,19 @@ class HeatmapDetector(Detector):
 
     @torch.no_grad()
     def detect(self, raw: HeatmapOutputs) -> list[Detections]:
-        # Cells that are no local maximum stay in: in a heap two centres can lie in neighbouring cells, and the boxes of
-        # one instance that such cells propose are so alike that suppression leaves one of them.
-        probability = raw.logits.sigmoid().flatten(1)
-        scores, cells = probability.topk(min(CANDIDATES, probability.shape[1]))
+        """The surest cells, thinned by the overlap of their boxes.
+
+        CenterNet keeps the local maxima of 3 x 3 cells instead. In a heap two visible boxes often have their centres in
+        adjacent cells though their overlap is small: on bins of 10-20 bunnies that lost 26 of 1000 instances that are
+        20 % visible and 8 of 1000 that are half visible; this loses 9 and none.
+        """
+        scores, cells = raw.logits.flatten(1).sigmoid().topk(min(self.candidates, raw.logits[0].numel()))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
         boxes = clip_boxes(boxes, *raw.image_size)
         return [self._thinned(*image) for image in zip(boxes, scores, strict=True)]
 
     def _thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
-        usable = (scores >= self.min_score) & (boxes[:, 2:] > boxes[:, :2]).all(-1)
+        usable = (scores >= self.min_score) & ((boxes[:, 2:] - boxes[:, :2]) >= LEAST_SIDE).all(-1)
         boxes, scores = boxes[usable], scores[usable]
         kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
         return Detections(boxes[kept], scores[kept])
