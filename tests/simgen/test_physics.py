@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evalkit import poses
 from evalkit.errors import InputError
-from simgen.bin import fitting_bin, mean_shadow
+from simgen.bin import fitting_bin
 from simgen.config import BinSize, PhysicsConfig
 from simgen.physics import Body, Pile, World, center_of_mass, simulate_pile
 
@@ -32,7 +32,7 @@ def body_of(shape: str, scale: float = 1.0) -> Body:
 
 
 def bin_of(shape: str, scale: float = 1.0, count: int = 6) -> BinSize:
-    return fitting_bin(0.1 * scale, mean_shadow(np.vstack([mesh.vertices for mesh in SHAPES[shape]]) * scale), count)
+    return fitting_bin(np.vstack([mesh.vertices for mesh in SHAPES[shape]]) * scale, 0.1 * scale, count)
 
 
 def pile_of(shape: str, scene: int = 0, scale: float = 1.0, count: tuple[int, int] = (4, 6)) -> Pile:

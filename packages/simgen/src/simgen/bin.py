@@ -14,22 +14,24 @@ from scipy.spatial import ConvexHull
 from simgen.config import BinSize
 
 Array = NDArray[np.float64]
-LAYERS = 0.8  # shadows of all instances over the floor's area: they overlap here and leave gaps there
+LAYERS = 1.5  # shadows of all instances over the floor's area: visibility then spreads from 0 to 1, 0.67 on average
+PACKING = 0.6  # share of the bin's volume that convex hulls fill at most: round things would roll off a higher pile
 MIN_SIDE = 1.5  # in object diameters
-WALL_HEIGHT = 0.8  # in object diameters
+WALL_HEIGHT = 1.0  # in object diameters
 WALL_THICKNESS = 0.03  # of the longer side
 GROUND = 4.0  # half-side of the ground around the bin, in longer sides
 
 
-def fitting_bin(diameter: float, shadow: float, instances: int) -> BinSize:
-    """The bin in which `instances` objects of `diameter` metres and mean `shadow` m2 pile up in one to two layers."""
-    side = max(math.sqrt(instances * shadow / LAYERS), MIN_SIDE * diameter)
-    return BinSize(side, side, WALL_HEIGHT * diameter)
+def fitting_bin(vertices: ArrayLike, diameter: float, instances: int) -> BinSize:
+    """The bin in which `instances` objects of that mesh (V, 3) and diameter, in metres, pile up one to two layers high.
 
-
-def mean_shadow(vertices: ArrayLike) -> float:
-    """Area in m2 that the convex hull of points (V, 3) hides on average: a quarter of its surface (Cauchy 1841)."""
-    return float(ConvexHull(vertices, qhull_options="QJ").area) / 4  # joggled, for flat objects have hulls as well
+    What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841).
+    """
+    hull = ConvexHull(vertices, qhull_options="QJ")  # joggled, for flat objects have hulls as well
+    height = WALL_HEIGHT * diameter
+    floor = instances * max(hull.area / 4 / LAYERS, hull.volume / (PACKING * height))
+    side = max(math.sqrt(floor), MIN_SIDE * diameter)
+    return BinSize(side, side, height)
 
 
 def wall_boxes(size: BinSize, thickness: float) -> Array:

@@ -14,7 +14,7 @@ from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
-from simgen.bin import bin_mesh, fitting_bin, ground_half_side, mean_shadow
+from simgen.bin import bin_mesh, fitting_bin, ground_half_side
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
@@ -50,7 +50,7 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
         InputError: the object is larger than the bin.
     """
     diameter, (vertices, _) = model.diameter, _mesh_of(model)
-    size = config.bin or fitting_bin(diameter, mean_shadow(vertices), config.instances_max)
+    size = config.bin or fitting_bin(vertices, diameter, config.instances_max)
     if min(size.width, size.depth) < diameter:
         raise InputError(
             f"--bin {size}: the object '{model.name}' is {diameter:g} m across; "
