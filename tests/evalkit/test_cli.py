@@ -63,7 +63,7 @@ def shards(tmp_path_factory):
 def test_ap_prints_the_figures_the_counts_and_the_rules(folder):
     done = evalkit("ap", folder / "preds.json", folder / "gt.json", "--min-visibility", 0.4)
     assert done.exit_code == 0
-    for words in ("AP ", "MAP", "best F1", "P = 0.99", "P = 0.50", "to find", "ignored", "40 %", "Sym distance"):
+    for words in ("AP ", "MAP", "best F1", "P = 0.99", "P = 0.50", "to find", "ignored", "40 %", "Sym, root"):
         assert words in done.output
 
 
@@ -154,3 +154,33 @@ def test_sileane_files_go_in_and_the_golden_figure_comes_out(reference, tmp_path
 def test_what_takes_long_to_import_waits_until_it_is_needed():
     code = "import sys, evalkit.cli; print(sorted({'scipy', 'matplotlib', 'cv2', 'h5py'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_intervals_confidence_and_comparison_are_printed_and_written(folder):
+    files = folder / "preds.json", folder / "gt.json"
+    done = evalkit("ap", *files, "--bootstrap", 50, "--confidence", 0.5, "--json", folder / "out.json")
+    assert done.exit_code == 0
+    assert "F1" in done.output
+    assert "50 resamples" in done.output
+    document = json.loads((folder / "out.json").read_text())
+    assert document["bootstrap"]["ap"][0] <= document["ap"] <= document["bootstrap"]["ap"][1]
+    assert document["at_confidence"]["score"] == 0.5
+    done = evalkit("compare", files[0], *files, "--resamples", 20, "--json", folder / "out.json")
+    assert done.exit_code == 0
+    assert "difference: 0.0000 [0.0000, 0.0000]" in done.output
+    assert json.loads((folder / "out.json").read_text())["difference"]["value"] == 0
+
+
+def test_bop24_scores_the_ground_truth_of_shards_with_one(shards, tmp_path):
+    assert evalkit("gt", shards, "-o", tmp_path / "gt.json").exit_code == 0
+    document = json.loads((tmp_path / "gt.json").read_text())
+    images = [
+        {"id": i["id"], "hypotheses": [{"R": r["R"], "t": r["t"], "score": 1} for r in i["instances"]]}
+        for i in document["images"]
+    ]
+    preds = {"format": "binpose-preds/1", "object": "tile", "images": images}
+    (tmp_path / "preds.json").write_text(json.dumps(preds))
+    files = tmp_path / "preds.json", tmp_path / "gt.json", "--json", tmp_path / "out.json"
+    for unit in ("diameter", "mm"):
+        assert evalkit("bop24", *files, "--unit", unit).exit_code == 0
+        assert json.loads((tmp_path / "out.json").read_text())["ap"] == 1.0

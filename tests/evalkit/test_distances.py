@@ -12,6 +12,7 @@ from evalkit.distances import CRITERIA, Add, AddS, Sym, SymToolbox, for_criterio
 from evalkit.objects import ObjectModel
 from evalkit.symmetry import Symmetry
 
+VGA = (600.0, 610.0, 320.0, 240.0, 640.0)
 BAR = np.array([[x, y, z] for x in (-2, 2) for y in (-1, 1) for z in (-0.5, 0.5)]) * 0.02 + [0.01, 0.02, 0.03]
 
 
@@ -120,20 +121,22 @@ def test_the_lower_bound_by_which_pairs_are_left_out_holds(criterion, plain_mode
     distance = for_criterion(criterion, plain_model)
     a, b = random_poses(rng, 300, spread=0.05), random_poses(rng, 300, spread=0.05)
     gap = np.linalg.norm(distance.points(a) - distance.points(b), axis=1)
-    assert (distance(a, b) >= gap - distance.slack - 1e-12).all()
+    assert (distance(a, b, np.tile(VGA, (300, 1))) >= gap - distance.slack - 1e-12).all()
 
 
 def test_blocks_do_not_change_the_distances(plain_model, monkeypatch):
     rng = np.random.default_rng(9)
     a, b = random_poses(rng, 17), random_poses(rng, 17)
-    whole = [for_criterion(criterion, plain_model)(a, b) for criterion in CRITERIA]
+    cameras = np.tile(VGA, (17, 1))
+    whole = [for_criterion(criterion, plain_model)(a, b, cameras) for criterion in CRITERIA]
     monkeypatch.setattr("evalkit.distances.BLOCK_NUMBERS", 50)
+    monkeypatch.setattr("evalkit.bop_distances.BLOCK_NUMBERS", 50)
     for criterion, expected in zip(CRITERIA, whole, strict=True):
-        np.testing.assert_allclose(for_criterion(criterion, plain_model)(a, b), expected, rtol=1e-12)
+        np.testing.assert_allclose(for_criterion(criterion, plain_model)(a, b, cameras), expected, rtol=1e-12)
 
 
 def test_a_model_without_points_is_refused_where_points_are_needed():
-    bare = replace(bar(), points=None)
-    for criterion in ("add", "adds"):
+    bare = replace(bar(), points=None, vertices=None)
+    for criterion in ("add", "adds", "mssd", "mspd"):
         with pytest.raises(InputError, match="points"):
             for_criterion(criterion, bare)

@@ -197,3 +197,16 @@ def test_documents_that_do_not_belong_together_are_refused(plain_model, make_cro
 def test_settings_without_meaning_are_refused(plain_model, make_crowd, settings):
     with pytest.raises(InputError):
         average_precision(*make_crowd(plain_model, 0), **settings)
+
+
+def test_figures_at_a_confidence_are_those_of_the_list_cut_there(plain_model, make_crowd):
+    predictions, truth = make_crowd(plain_model, 0)
+    result = average_precision(predictions, truth)
+    for score in (0.0, 0.5, 0.55, 0.875):
+        cut = [
+            replace(i, cam_from_obj=i.cam_from_obj[i.score >= score], score=i.score[i.score >= score])
+            for i in predictions.images
+        ]
+        alone = average_precision(replace(predictions, images=cut), truth).curve
+        expected = (alone.precision[-1], alone.recall[-1], alone.f1[-1])
+        assert result.at_confidence(score) == pytest.approx(expected, abs=1e-12)

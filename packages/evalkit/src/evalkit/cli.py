@@ -12,7 +12,6 @@ from evalkit.atomic import sha256_of_file, write_json
 from evalkit.command import Commands
 from evalkit.distances import CRITERIA
 from evalkit.evaluation import PROTOCOLS, Result, average_precision
-from evalkit.objects import THRESHOLD_RATIO
 
 FILE = click.Path(path_type=Path)
 NAMES_LISTED = 3
@@ -27,14 +26,13 @@ def main() -> None:
 def evaluation_options(command: Any) -> Any:
     """The options that settle the rules of an evaluation."""
     options = [
-        click.option("--criterion", type=click.Choice(CRITERIA), default="sym", show_default=True),
+        click.option("--criterion", type=click.Choice(list(CRITERIA)), default="sym", show_default=True),
         click.option("--protocol", type=click.Choice(PROTOCOLS), default="sileane", show_default=True),
         click.option("--min-visibility", default=0.5, show_default=True, help="Find instances at least this visible."),
         click.option(
             "--threshold",
-            default=THRESHOLD_RATIO,
-            show_default=True,
-            help="A pose is right within this many diameters.",
+            type=float,
+            help="A pose is right within this many diameters [0.1], for mspd pixels of an image 640 wide [10].",
         ),
         click.option("--max-results", type=int, help="Of each image, only this many best hypotheses count."),
     ]
@@ -49,20 +47,82 @@ def evaluation_options(command: Any) -> Any:
 @evaluation_options
 @click.option("--json", "json_path", type=FILE, help="Write all figures, the rules and the curve here.")
 @click.option("--plot", "plot_path", type=FILE, help="Draw the precision-recall curve here (PNG, SVG or PDF).")
-def ap(preds: Path, gt: Path, json_path: Path | None, plot_path: Path | None, **rules: Any) -> None:
+@click.option("--confidence", type=float, help="Also give precision, recall and F1 of the scores from this one on.")
+@click.option("--bootstrap", type=int, help="Also give 95 % intervals from so many resamples of the scenes (1000).")
+def ap(
+    preds: Path,
+    gt: Path,
+    json_path: Path | None,
+    plot_path: Path | None,
+    confidence: float | None,
+    bootstrap: int | None,
+    **rules: Any,
+) -> None:
     """Average precision of PREDS (preds.json) against GT (gt.json)."""
     result = average_precision(documents.read_predictions(preds), documents.read_ground_truth(gt), **rules)
+    lines = [summary(result)]
+    more: dict[str, Any] = {}
+    if confidence is not None:
+        precision, recall, f1 = result.at_confidence(confidence)
+        more["at_confidence"] = {"score": confidence, "precision": precision, "recall": recall, "f1": f1}
+        lines.append(f"score from {confidence:g} on: precision {precision:.4f}, recall {recall:.4f}, F1 {f1:.4f}")
+    if bootstrap is not None:
+        from evalkit.bootstrap import LEVEL, intervals
+
+        found = intervals(result, bootstrap)
+        more["bootstrap"] = {"resamples": bootstrap, "level": LEVEL} | {k: [i.low, i.high] for k, i in found.items()}
+        lines.append(f"{bootstrap} resamples of the scenes, {100 * LEVEL:g} % intervals:")
+        lines += [f"  {key:<8} {interval}" for key, interval in found.items()]
     if json_path is not None:
-        inputs = {
-            "predictions": {"file": preds.name, "sha256": sha256_of_file(preds)},
-            "ground_truth": {"file": gt.name, "sha256": sha256_of_file(gt)},
-        }
-        write_json(json_path, {**result.to_json(), "inputs": inputs}, indent=1)
+        inputs = described_inputs(predictions=preds, ground_truth=gt)
+        write_json(json_path, {**result.to_json(), **more, "inputs": inputs}, indent=1)
     if plot_path is not None:
         from evalkit.plots import save_precision_recall
 
         save_precision_recall(result, plot_path)
-    click.echo(summary(result))
+    click.echo("\n".join(lines))
+
+
+@main.command("compare")
+@click.argument("first", type=FILE)
+@click.argument("second", type=FILE)
+@click.argument("gt", type=FILE)
+@evaluation_options
+@click.option("--resamples", default=1000, show_default=True, help="Of the scenes, for the interval.")
+@click.option("--json", "json_path", type=FILE, help="Write the figures here.")
+def compare(first: Path, second: Path, gt: Path, resamples: int, json_path: Path | None, **rules: Any) -> None:
+    """By how much SECOND is better than FIRST (two preds.json) on GT, and whether that is chance."""
+    from evalkit.bootstrap import LEVEL, compare
+
+    truth = documents.read_ground_truth(gt)
+    a, b = (average_precision(documents.read_predictions(path), truth, **rules) for path in (first, second))
+    found = compare(a, b, resamples)
+    if json_path is not None:
+        inputs = described_inputs(first=first, second=second, ground_truth=gt)
+        write_json(json_path, {**found.to_json(), "protocol": a.protocol, "inputs": inputs}, indent=1)
+    click.echo(f"AP of {first.name}: {found.first}")
+    click.echo(f"AP of {second.name}: {found.second}")
+    click.echo(f"difference: {found.difference}, higher in {100 * found.better:.1f} % of {resamples} resamples")
+    click.echo(f"Intervals are {100 * LEVEL:g} %, by bootstrap over scenes, both on the same ones.")
+    click.echo(f"\n{a.protocol}")
+
+
+@main.command()
+@click.argument("preds", type=FILE)
+@click.argument("gt", type=FILE)
+@click.option("--unit", type=click.Choice(["diameter", "mm"]), default="diameter", show_default=True)
+@click.option("--json", "json_path", type=FILE, help="Write the figures here.")
+def bop24(preds: Path, gt: Path, unit: str, json_path: Path | None) -> None:
+    """The detection score of BOP Challenge 2024: AP over a ladder of MSSD and MSPD thresholds."""
+    from evalkit.detection_ap import detection_ap
+
+    found = detection_ap(documents.read_predictions(preds), documents.read_ground_truth(gt), unit)
+    if json_path is not None:
+        inputs = described_inputs(predictions=preds, ground_truth=gt)
+        write_json(json_path, {**found.to_json(), "inputs": inputs}, indent=1)
+    click.echo(
+        f"AP       {found.ap:.4f}\nAP MSSD  {found.ap_mssd:.4f}\nAP MSPD  {found.ap_mspd:.4f}\n\n{found.protocol}"
+    )
 
 
 @main.command()
@@ -121,6 +181,11 @@ def picture(
     predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
     result = save_picture(output, predictions, truth, shards, image_ids, count, **rules)
     click.echo(f"{output}: AP {result.ap:.4f}")
+
+
+def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:
+    """Names and hashes of the files that a result was computed from."""
+    return {key: {"file": path.name, "sha256": sha256_of_file(path)} for key, path in paths.items()}
 
 
 def summary(result: Result) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,51 +51,84 @@ class Curve:
         return float(self.recall[self.precision >= precision].max(initial=0.0))
 
 
-def mean_curve(crowd: Crowd, matching: Matching) -> tuple[Curve, Array]:
-    """The protocol of Brégier et al. 2017: the mean of the images' curves at every score, and each image's own AP.
+class Steps(Protocol):
+    """What each image adds to a curve, ready to be added up with any weights of the images."""
+
+    def curve(self, weights: Array | None = None) -> Curve:
+        """The curve of the images, each counted `weights` (S,) times."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeanSteps:
+    """The protocol of Brégier et al. 2017: the mean over images of their curves, at every score of any image.
 
     In an image, precision is 1 where no hypothesis counts and recall is 1 where nothing is to be found. Both are steps
-    in the score, so their means change only where some image has that score.
-
-    Returns:
-        The mean curve, and the average precision (S,) of each image's own curve.
+    in the score, so their means change only where some image has that score. Rows are sorted by falling score.
     """
-    precision, recall = _precision_recall(crowd, matching)
-    end = np.flatnonzero(_is_last(crowd.image, crowd.score))
-    image, score, precision, recall = crowd.image[end], crowd.score[end], precision[end], recall[end]
-    start = (crowd.wanted == 0).astype(float)
-    first, last = _is_first(image), _is_last(image)
-    area = recall * (precision - np.where(last, 0.0, np.roll(precision, -1)))
-    per_image = np.where(crowd.hypotheses_per_image > 0, np.bincount(image, area, crowd.images), start)
-    if not len(score):
-        return Curve(np.array([np.inf]), np.ones(1), start.mean(keepdims=True)), per_image
-    precision_change = precision - np.where(first, 1.0, np.roll(precision, 1))
-    recall_change = recall - np.where(first, start[image], np.roll(recall, 1))
-    order = np.argsort(-score, kind="stable")
-    cut = _is_last(score[order])
-    means = [
-        _running_sum(initial, change[order])[cut] / crowd.images
-        for initial, change in ((float(crowd.images), precision_change), (start.sum(), recall_change))
-    ]
-    return Curve(score[order][cut], means[0].astype(float), means[1].astype(float)), per_image
+
+    image: NDArray[np.int64]  # (n,)
+    score: Array  # (n,)
+    precision_change: Array  # (n,)
+    recall_change: Array  # (n,)
+    start_recall: Array  # (S,) before the first hypothesis
+
+    @classmethod
+    def of(cls, crowd: Crowd, matching: Matching) -> tuple[MeanSteps, Array]:
+        """The steps, and the average precision (S,) of each image's own curve."""
+        precision, recall = _precision_recall(crowd, matching)
+        end = np.flatnonzero(_is_last(crowd.image, crowd.score))
+        image, score, precision, recall = crowd.image[end], crowd.score[end], precision[end], recall[end]
+        start = (crowd.wanted == 0).astype(float)
+        first, last = _is_first(image), _is_last(image)
+        area = recall * (precision - np.where(last, 0.0, np.roll(precision, -1)))
+        per_image = np.where(crowd.hypotheses_per_image > 0, np.bincount(image, area, crowd.images), start)
+        precision_change = precision - np.where(first, 1.0, np.roll(precision, 1))
+        recall_change = recall - np.where(first, start[image], np.roll(recall, 1))
+        order = np.argsort(-score, kind="stable")
+        return cls(image[order], score[order], precision_change[order], recall_change[order], start), per_image
+
+    def curve(self, weights: Array | None = None) -> Curve:
+        weights = np.ones(len(self.start_recall)) if weights is None else weights
+        total, start = weights.sum(), (weights * self.start_recall).sum()
+        if not len(self.score):
+            return _nothing_predicted(start / total)
+        cut, weight = _is_last(self.score), weights[self.image]
+        precision = _running_sum(total, weight * self.precision_change)[cut] / total
+        recall = _running_sum(start, weight * self.recall_change)[cut] / total
+        return Curve(self.score[cut], precision.astype(float), recall.astype(float))
 
 
-def pooled_curve(crowd: Crowd, matching: Matching) -> tuple[Curve, Array]:
-    """COCO's: one list of all images' hypotheses, and each image's own interpolated AP.
+@dataclass(frozen=True, eq=False)
+class PooledSteps:
+    """COCO's: one list of all images' hypotheses, by falling score."""
 
-    Returns:
-        The curve, and the interpolated AP (S,) of each image; NaN where nothing is to be found.
-    """
-    order = np.argsort(-crowd.score, kind="stable")
-    outcome = matching.outcome[order]
-    cut = _is_last(crowd.score[order])
-    true, ignored = (np.cumsum(outcome == kind)[cut] for kind in (TRUE, IGNORED))
-    counted = np.arange(1, len(order) + 1)[cut] - ignored
-    wanted = int(crowd.wanted.sum())
-    curve = Curve(crowd.score[order][cut], _ratio(true, counted), _ratio(true, np.full(len(true), wanted)))
-    if not len(order):
-        curve = Curve(np.array([np.inf]), np.ones(1), np.array([float(wanted == 0)]))
-    return curve, _interpolated_per_image(crowd, matching)
+    image: NDArray[np.int64]  # (H,)
+    score: Array  # (H,)
+    true: NDArray[np.bool_]  # (H,)
+    counted: NDArray[np.bool_]  # (H,) all but the ignored
+    wanted: NDArray[np.int64]  # (S,) instances to find
+
+    @classmethod
+    def of(cls, crowd: Crowd, matching: Matching) -> tuple[PooledSteps, Array]:
+        """The steps, and the interpolated AP (S,) of each image; NaN where nothing is to be found."""
+        order = np.argsort(-crowd.score, kind="stable")
+        outcome = matching.outcome[order]
+        steps = cls(crowd.image[order], crowd.score[order], outcome == TRUE, outcome != IGNORED, crowd.wanted)
+        return steps, _interpolated_per_image(crowd, matching)
+
+    def curve(self, weights: Array | None = None) -> Curve:
+        weights = np.ones(len(self.wanted)) if weights is None else weights
+        wanted = (weights * self.wanted).sum()
+        if not len(self.score):
+            return _nothing_predicted(float(wanted == 0))
+        cut, weight = _is_last(self.score), weights[self.image]
+        true = np.cumsum(weight * self.true)[cut]
+        counted = np.cumsum(weight * self.counted)[cut]
+        return Curve(self.score[cut], _ratio(true, counted), _ratio(true, np.full(len(true), wanted)))
+
+
+def _nothing_predicted(recall: float) -> Curve:
+    return Curve(np.array([np.inf]), np.ones(1), np.array([recall]))
 
 
 def _interpolated_per_image(crowd: Crowd, matching: Matching) -> Array:
@@ -118,8 +151,8 @@ def _precision_recall(crowd: Crowd, matching: Matching) -> tuple[Array, Array]:
     return _ratio(matching.true_so_far, counted), _ratio(matching.true_so_far, crowd.wanted[crowd.image])
 
 
-def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Array:
-    """part / whole, 1 where the whole is 0."""
+def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> Array:
+    """part / whole of whole numbers, 1 where the whole is 0."""
     return np.where(whole > 0, part / np.maximum(whole, 1), 1.0)
 
 

@@ -1,4 +1,4 @@
-"""How far apart two poses of an object are: Sym, ADD and ADD-S, batched, in metres.
+"""How far apart two poses of an object are: Sym, ADD and ADD-S, batched; and the list of all criteria.
 
 Each distance also knows a point of the object and a `slack` such that ``distance >= |point_a - point_b| - slack``
 whatever the rotations: pairs whose points lie farther apart than threshold + slack need never be computed.
@@ -7,17 +7,18 @@ whatever the rotations: pairs whose points lie farther apart than threshold + sl
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evalkit import poses
+from evalkit.bop_distances import REFERENCE_WIDTH, Mspd, Mssd
 from evalkit.errors import InputError
-from evalkit.objects import ObjectModel
+from evalkit.objects import THRESHOLD_RATIO, ObjectModel
 
 Array = NDArray[np.float64]
-CRITERIA = ("sym", "add", "adds")
 BLOCK_NUMBERS = 4_000_000  # float64 numbers held at once: 32 MB
 
 
@@ -29,8 +30,8 @@ class Distance(Protocol):
     def points(self, cam_from_obj: Array) -> Array:
         """The point (n, 3) that bounds the distance from below, for poses (n, 4, 4)."""
 
-    def __call__(self, estimate: Array, truth: Array) -> Array:
-        """Distances (n,) in metres between poses (n, 4, 4) and (n, 4, 4)."""
+    def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:
+        """Distances (n,) of poses (n, 4, 4) and (n, 4, 4); `intrinsics` (n, 5) are fx, fy, cx, cy, width."""
 
 
 class Sym:
@@ -47,7 +48,7 @@ class Sym:
     def points(self, cam_from_obj: Array) -> Array:
         return self.model.centers(cam_from_obj)
 
-    def __call__(self, estimate: Array, truth: Array) -> Array:
+    def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:
         return _in_blocks(self._distance, estimate, truth, 12 * len(self.model.symmetry.rotations))
 
     def _distance(self, estimate: Array, truth: Array) -> Array:
@@ -70,7 +71,7 @@ class SymToolbox:
     def points(self, cam_from_obj: Array) -> Array:
         return cam_from_obj[:, :3, 3]
 
-    def __call__(self, estimate: Array, truth: Array) -> Array:
+    def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:
         return _in_blocks(self._distance, estimate, truth, 12 * len(self.symmetry.rotations))
 
     def _distance(self, estimate: Array, truth: Array) -> Array:
@@ -95,7 +96,7 @@ class Add:
     def points(self, cam_from_obj: Array) -> Array:
         return poses.apply(cam_from_obj, self.model_points.mean(0)[None])[:, 0]
 
-    def __call__(self, estimate: Array, truth: Array) -> Array:
+    def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:
         return _in_blocks(self._distance, estimate, truth, 3 * len(self.model_points))
 
     def _distance(self, estimate: Array, truth: Array) -> Array:
@@ -117,7 +118,7 @@ class AddS:
     def points(self, cam_from_obj: Array) -> Array:
         return poses.apply(cam_from_obj, self.center[None])[:, 0]
 
-    def __call__(self, estimate: Array, truth: Array) -> Array:
+    def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:
         return _in_blocks(self._distance, estimate, truth, 3 * len(self.model_points))
 
     def _distance(self, estimate: Array, truth: Array) -> Array:
@@ -126,8 +127,37 @@ class AddS:
         return np.asarray(nearest.mean(-1))
 
 
-def for_criterion(criterion: str, model: ObjectModel, toolbox: bool = False) -> Distance:
-    """The distance of that name.
+@dataclass(frozen=True)
+class Criterion:
+    """What the user may ask for: a distance and how its threshold is meant."""
+
+    title: str
+    words: str
+    threshold: float  # the default
+    in_pixels: bool = False
+
+    def limit(self, threshold: float, model: ObjectModel) -> float:
+        """The threshold in metres (or pixels), from one in diameters (or pixels)."""
+        return threshold if self.in_pixels else threshold / THRESHOLD_RATIO * model.threshold
+
+    def describe(self, threshold: float, model: ObjectModel) -> str:
+        if self.in_pixels:
+            return f"{self.words}, at most {threshold:g} px of an image {REFERENCE_WIDTH} px wide"
+        limit_mm = 1000 * self.limit(threshold, model)
+        return f"{self.words}, at most {threshold:g} diameters = {limit_mm:.4g} mm"
+
+
+CRITERIA = {
+    "sym": Criterion("Sym", "Sym, root mean square motion of the surface modulo the object's symmetry", 0.1),
+    "add": Criterion("ADD", "ADD, mean distance of corresponding model points (no symmetry is respected)", 0.1),
+    "adds": Criterion("ADD-S", "ADD-S, mean distance of model points to the nearest estimated one", 0.1),
+    "mssd": Criterion("MSSD", "MSSD, largest motion of a model point modulo the object's symmetry", 0.1),
+    "mspd": Criterion("MSPD", "MSPD, largest motion of a projected model point modulo symmetry", 10.0, in_pixels=True),
+}
+
+
+def for_criterion(criterion: str, model: ObjectModel, toolbox: bool = False, limit: float = np.inf) -> Distance:
+    """The distance of that name; above `limit` it need not be exact, only above.
 
     Raises:
         InputError: the name is unknown, or the model lacks the points that the criterion needs.
@@ -138,6 +168,10 @@ def for_criterion(criterion: str, model: ObjectModel, toolbox: bool = False) -> 
         return Add(model)
     if criterion == "adds":
         return AddS(model)
+    if criterion == "mssd":
+        return Mssd(model, limit)
+    if criterion == "mspd":
+        return Mspd(model, limit)
     raise InputError(f"criterion '{criterion}' is not known; use one of {', '.join(CRITERIA)}.")
 
 

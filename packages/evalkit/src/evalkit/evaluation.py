@@ -10,12 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.curves import Curve, mean_curve, pooled_curve
+from evalkit.curves import Curve, MeanSteps, PooledSteps, Steps
 from evalkit.distances import CRITERIA, for_criterion
-from evalkit.documents import GroundTruth, Predictions
+from evalkit.documents import GroundTruth, GroundTruthImage, Predictions
 from evalkit.errors import InputError
-from evalkit.matching import DUPLICATE, FALSE, IGNORED, TRUE, Crowd, Matching, close_pairs, match_greedy, match_mutual
-from evalkit.objects import THRESHOLD_RATIO
+from evalkit.matching import (
+    DUPLICATE,
+    FALSE,
+    IGNORED,
+    TRUE,
+    Crowd,
+    Matching,
+    Pairs,
+    close_pairs,
+    match_greedy,
+    match_mutual,
+)
+from evalkit.objects import THRESHOLD_RATIO, ObjectModel
 
 PROTOCOLS = ("sileane", "sileane-toolbox", "coco")
 DIAMETER_TOLERANCE = 0.01  # of the diameter: two libraries' readings of one mesh agree far better, two units never
@@ -27,17 +38,17 @@ class Settings:
     """The rules of an evaluation.
 
     Attributes:
-        criterion: sym, add or adds.
+        criterion: sym, add, adds, mssd or mspd.
         protocol: sileane, sileane-toolbox or coco.
         min_visibility: instances at least this visible are to be found; finding others is neither right nor wrong.
-        threshold: times the object's diameter: a pose this close is right.
+        threshold: a pose this close is right: in object diameters, for mspd in pixels of an image 640 wide.
         max_results: of each image only this many best hypotheses count; None for all.
     """
 
     criterion: str = "sym"
     protocol: str = "sileane"
     min_visibility: float = 0.5
-    threshold: float = THRESHOLD_RATIO
+    threshold: float = CRITERIA["sym"].threshold
     max_results: int | None = None
 
     def __post_init__(self) -> None:
@@ -48,11 +59,15 @@ class Settings:
         if self.protocol == "sileane-toolbox" and self.criterion != "sym":
             raise InputError("the protocol 'sileane-toolbox' knows the criterion 'sym' only; use --protocol sileane.")
         if not (np.isfinite(self.threshold) and self.threshold > 0):
-            raise InputError(f"threshold {self.threshold:g} must be a positive multiple of the object's diameter.")
+            raise InputError(f"threshold {self.threshold:g} must be positive: object diameters, for mspd pixels.")
         if not -1.0 <= self.min_visibility <= 1.0:
             raise InputError(f"min-visibility {self.min_visibility:g} must be at most 1 (and 0 or less finds all).")
         if self.max_results is not None and self.max_results < 1:
             raise InputError(f"max-results {self.max_results} must be 1 or more.")
+
+    def limit(self, model: ObjectModel) -> float:
+        """The threshold in metres, for mspd in pixels."""
+        return CRITERIA[self.criterion].limit(self.threshold, model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,20 +91,40 @@ class ImageOutcome:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The figures, the curve behind them, and the rules they follow."""
+    """The figures, the curve behind them, and the rules they follow.
+
+    Attributes:
+        rules: in words.
+        limit: the threshold in metres, for mspd in pixels.
+        image_ap: (S,) each image's own AP; NaN where it has none.
+        missing_images: ids of images that the predictions lack.
+        given: of each image, how many hypotheses the predictions have, max_results or not.
+    """
 
     settings: Settings
     object_name: str
     symmetry: str
-    threshold_m: float
-    curve: Curve
-    ap: float
+    rules: str
+    limit: float
+    steps: Steps
     image_ap: NDArray[np.float64]
     image_ids: list[str]
     missing_images: list[str]
     crowd: Crowd
     matching: Matching
     given: list[int]
+
+    @cached_property
+    def curve(self) -> Curve:
+        return self.steps.curve()
+
+    @property
+    def ap(self) -> float:
+        return self.area(self.curve)
+
+    def area(self, curve: Curve) -> float:
+        """A curve's average precision as the protocol reads it."""
+        return curve.interpolated_average_precision if self.settings.protocol == "coco" else curve.average_precision
 
     @property
     def map(self) -> float:
@@ -127,10 +162,17 @@ class Result:
             "missed": int((self.crowd.to_find & ~found).sum()),
         }
 
+    def at_confidence(self, score: float) -> tuple[float, float, float]:
+        """Precision, recall and F1 of the hypotheses with at least this score."""
+        point = int(np.searchsorted(-self.curve.score, -score, side="right")) - 1
+        if point < 0:
+            return 1.0, float(self.curve.recall[0]) if np.isinf(self.curve.score[0]) else 0.0, 0.0
+        return float(self.curve.precision[point]), float(self.curve.recall[point]), float(self.curve.f1[point])
+
     @property
     def protocol(self) -> str:
         """The rules in words."""
-        return describe(self.settings, self.threshold_m, self.symmetry)
+        return self.rules
 
     def images(self) -> list[ImageOutcome]:
         """What became of each image, in the ground truth's order."""
@@ -160,7 +202,11 @@ class Result:
             "protocol": self.protocol,
             "protocol_name": self.settings.protocol,
             "criterion": self.settings.criterion,
-            "threshold": {"diameters": self.settings.threshold, "metres": self.threshold_m},
+            "threshold": (
+                {"pixels": self.settings.threshold}
+                if CRITERIA[self.settings.criterion].in_pixels
+                else {"diameters": self.settings.threshold, "metres": self.limit}
+            ),
             "min_visibility": self.settings.min_visibility,
             "max_results": self.settings.max_results,
             "object": self.object_name,
@@ -182,42 +228,82 @@ def average_precision(
     criterion: str = "sym",
     protocol: str = "sileane",
     min_visibility: float = 0.5,
-    threshold: float = THRESHOLD_RATIO,
+    threshold: float | None = None,
     max_results: int | None = None,
 ) -> Result:
     """Evaluate predictions against ground truth; see :class:`Settings` for the rules' meaning.
 
+    Args:
+        threshold: None takes the criterion's own: 0.1 diameters, for mspd 10 pixels.
+
     Raises:
         InputError: a setting is unknown, or the two documents do not belong together.
     """
+    if threshold is None:
+        threshold = CRITERIA[criterion].threshold if criterion in CRITERIA else THRESHOLD_RATIO
     settings = Settings(criterion, protocol, min_visibility, threshold, max_results)
-    require_same_subject(predictions, truth)
-    by_id = {image.id: image for image in predictions.images}
-    missing = [image.id for image in truth.images if image.id not in by_id]
-    toolbox = protocol == "sileane-toolbox"
-    evaluated = [image for image in truth.images if image.id in by_id or not toolbox]
-    if not evaluated:
-        raise InputError(f"{predictions.source}: it has none of the images of {truth.source}; nothing to evaluate.")
-    hypotheses = [by_id.get(image.id) for image in evaluated]
-    crowd = Crowd.gather(hypotheses, evaluated, min_visibility, max_results)
-    threshold_m = truth.object.threshold * (threshold / THRESHOLD_RATIO)
-    pairs = close_pairs(crowd, for_criterion(criterion, truth.object, toolbox), threshold_m)
-    matching = (match_greedy if protocol == "coco" else match_mutual)(crowd, pairs)
-    curve, image_ap = (pooled_curve if protocol == "coco" else mean_curve)(crowd, matching)
-    return Result(
-        settings=settings,
-        object_name=truth.object.name,
-        symmetry=truth.object.symmetry.name,
-        threshold_m=threshold_m,
-        curve=curve,
-        ap=curve.interpolated_average_precision if protocol == "coco" else curve.average_precision,
-        image_ap=image_ap,
-        image_ids=[image.id for image in evaluated],
-        missing_images=missing,
-        crowd=crowd,
-        matching=matching,
-        given=[0 if image is None else len(image.score) for image in hypotheses],
-    )
+    scene = Subject.of(predictions, truth, settings)
+    return scene.score(settings, scene.pairs(settings))
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """Predictions and ground truth brought together: the images evaluated, and what is in them."""
+
+    truth: GroundTruth
+    evaluated: list[GroundTruthImage]
+    missing: list[str]
+    crowd: Crowd
+    given: list[int]
+
+    @classmethod
+    def of(cls, predictions: Predictions, truth: GroundTruth, settings: Settings) -> Subject:
+        require_same_subject(predictions, truth)
+        by_id = {image.id: image for image in predictions.images}
+        skip = settings.protocol == "sileane-toolbox"
+        evaluated = [image for image in truth.images if image.id in by_id or not skip]
+        if not evaluated:
+            raise InputError(f"{predictions.source}: it has none of the images of {truth.source}; nothing to evaluate.")
+        hypotheses = [by_id.get(image.id) for image in evaluated]
+        return cls(
+            truth=truth,
+            evaluated=evaluated,
+            missing=[image.id for image in truth.images if image.id not in by_id],
+            crowd=Crowd.gather(hypotheses, evaluated, settings.min_visibility, settings.max_results),
+            given=[0 if image is None else len(image.score) for image in hypotheses],
+        )
+
+    def pairs(self, settings: Settings) -> Pairs:
+        """Hypotheses and instances within the threshold.
+
+        Raises:
+            InputError: the criterion needs points or cameras that the ground truth lacks.
+        """
+        limit, model = settings.limit(self.truth.object), self.truth.object
+        if CRITERIA[settings.criterion].in_pixels and self.crowd.intrinsics is None:
+            raise InputError(f"{self.truth.source}: an image has no 'camera', which --criterion mspd needs.")
+        distance = for_criterion(settings.criterion, model, settings.protocol == "sileane-toolbox", limit)
+        return close_pairs(self.crowd, distance, limit)
+
+    def score(self, settings: Settings, pairs: Pairs) -> Result:
+        """Match by the protocol's rule and draw its curve."""
+        coco = settings.protocol == "coco"
+        matching = (match_greedy if coco else match_mutual)(self.crowd, pairs)
+        steps, image_ap = (PooledSteps if coco else MeanSteps).of(self.crowd, matching)
+        return Result(
+            settings=settings,
+            object_name=self.truth.object.name,
+            symmetry=self.truth.object.symmetry.name,
+            rules=describe(settings, self.truth.object),
+            limit=settings.limit(self.truth.object),
+            steps=steps,
+            image_ap=image_ap,
+            image_ids=[image.id for image in self.evaluated],
+            missing_images=self.missing,
+            crowd=self.crowd,
+            matching=matching,
+            given=self.given,
+        )
 
 
 def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
@@ -264,13 +350,8 @@ def _reach(pose: NDArray[np.float64]) -> float:
     return float(np.abs(pose[:, :3, 3]).max(initial=0.0))
 
 
-def describe(settings: Settings, threshold_m: float, symmetry: str) -> str:
+def describe(settings: Settings, model: ObjectModel) -> str:
     """The rules in words, figures included."""
-    distance = {
-        "sym": f"Sym distance modulo the object's symmetry ({symmetry})",
-        "add": "ADD, mean distance of corresponding model points (no symmetry is respected)",
-        "adds": "ADD-S, mean distance of model points to the nearest estimated one",
-    }[settings.criterion]
     rules = {
         "sileane": "right where hypothesis and instance are each other's nearest, duplicates are wrong; "
         "precision and recall are means over images at each score, an image without predictions has none; "
@@ -283,9 +364,9 @@ def describe(settings: Settings, threshold_m: float, symmetry: str) -> str:
     }[settings.protocol]
     best = "" if settings.max_results is None else f" The best {settings.max_results} of an image count."
     return (
-        f"{distance}, at most {settings.threshold:g} diameters = {1000 * threshold_m:.4g} mm. Instances at least "
-        f"{100 * settings.min_visibility:g} % visible are to be found, matches of others are ignored.{best} "
-        f"Protocol {settings.protocol}: {rules}."
+        f"{CRITERIA[settings.criterion].describe(settings.threshold, model)}; symmetry {model.symmetry.name}. "
+        f"Instances at least {100 * settings.min_visibility:g} % visible are to be found, matches of others are "
+        f"ignored.{best} Protocol {settings.protocol}: {rules}."
     )
 
 

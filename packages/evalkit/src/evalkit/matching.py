@@ -34,6 +34,7 @@ class Crowd:
         row: (H,) number of the hypothesis in its image's list, as given.
         pose: (H, 4, 4) and `instance_pose` (M, 4, 4): cam_from_obj.
         to_find: (M,) whether the instance is visible enough to be asked for.
+        intrinsics: (S, 5) fx, fy, cx, cy and width of the images' cameras; None where one is unknown.
     """
 
     images: int
@@ -44,6 +45,7 @@ class Crowd:
     instance_image: Index
     instance_pose: Array
     to_find: Mask
+    intrinsics: Array | None = None
     max_results: int | None = None
 
     @classmethod
@@ -71,6 +73,7 @@ class Crowd:
             pose=pose[order],
             instance_image=np.repeat(np.arange(len(truth)), [len(t.visibility) for t in truth]),
             instance_pose=_concatenate([t.cam_from_obj for t in truth], (4, 4)),
+            intrinsics=_intrinsics(truth),
             to_find=visibility >= min_visibility - VISIBILITY_TOLERANCE,
             max_results=max_results,
         )
@@ -126,10 +129,17 @@ def close_pairs(crowd: Crowd, distance: Distance, threshold: float) -> Pairs:
         gap = points[hypothesis] - instance_points[instance]
         near = np.einsum("ij,ij->i", gap, gap) <= (reach * (1 + 1e-9)) ** 2
         hypothesis, instance = hypothesis[near], instance[near]
-        apart = distance(crowd.pose[hypothesis], crowd.instance_pose[instance])
-        within = apart <= threshold
-        found.append((hypothesis[within], instance[within], apart[within]))
+        cameras = None if crowd.intrinsics is None else crowd.intrinsics[crowd.image[hypothesis]]
+        apart = distance(crowd.pose[hypothesis], crowd.instance_pose[instance], cameras)
+        near = apart <= threshold
+        found.append((hypothesis[near], instance[near], apart[near]))
     return Pairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def within(pairs: Pairs, threshold: float) -> Pairs:
+    """The pairs no farther apart than a smaller threshold."""
+    near = pairs.distance <= threshold
+    return Pairs(pairs.hypothesis[near], pairs.instance[near], pairs.distance[near])
 
 
 def match_mutual(crowd: Crowd, pairs: Pairs) -> Matching:
@@ -241,6 +251,12 @@ def _count_up(counts: Index) -> Index:
     """[2, 3] -> [0, 1, 0, 1, 2]."""
     ends = np.cumsum(counts)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
+
+
+def _intrinsics(truth: list[GroundTruthImage]) -> Array | None:
+    cameras = [image.camera for image in truth]
+    known = [(c.fx, c.fy, c.cx, c.cy, c.width) for c in cameras if c is not None]
+    return np.array(known, float).reshape(-1, 5) if len(known) == len(cameras) else None
 
 
 def _concatenate(parts: list[Array], shape: tuple[int, ...]) -> Array:

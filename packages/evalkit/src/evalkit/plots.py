@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evalkit.atomic import atomic_path
+from evalkit.distances import CRITERIA
 from evalkit.errors import InputError
 from evalkit.evaluation import Result
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 LINE, FILL, INK = "#1f5fa8", "#1f5fa822", "#444444"
 SUFFIXES = (".png", ".svg", ".pdf")
-CRITERION_TITLES = {"sym": "Sym", "add": "ADD", "adds": "ADD-S"}
 
 
 def draw_precision_recall(axes: Axes, result: Result) -> None:
@@ -38,9 +38,10 @@ def draw_precision_recall(axes: Axes, result: Result) -> None:
 
 def title(result: Result) -> str:
     """One line: the figure and the rules it follows."""
-    settings = result.settings
+    settings, criterion = result.settings, CRITERIA[result.settings.criterion]
+    unit = "px" if criterion.in_pixels else "d"
     return (
-        f"AP {result.ap:.3f}   {CRITERION_TITLES[settings.criterion]} ≤ {settings.threshold:g} d, "
+        f"AP {result.ap:.3f}   {criterion.title} ≤ {settings.threshold:g} {unit}, "
         f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
     )
 
