@@ -77,7 +77,6 @@ def test_iou_counts_pixels_of_integer_boxes() -> None:
     both = (masks[:, None] & masks[None]).sum((-2, -1))
     either = (masks[:, None] | masks[None]).sum((-2, -1))
     torch.testing.assert_close(ops.box_iou(boxes.float(), boxes.float()), both / either)
-    torch.testing.assert_close(ops.box_coverage(boxes.float(), boxes.float()), both / masks.sum((-2, -1))[:, None])
 
 
 def test_empty_and_inverted_boxes_overlap_nothing() -> None:
@@ -85,7 +84,6 @@ def test_empty_and_inverted_boxes_overlap_nothing() -> None:
     overlaps = ops.box_iou(boxes, boxes)
     assert torch.isfinite(overlaps).all()
     assert overlaps.sum() == 1.0
-    assert torch.isfinite(ops.box_coverage(boxes, boxes)).all()
     assert ops.box_iou(boxes[:0], boxes).shape == (0, 3)
 
 
@@ -185,28 +183,6 @@ def test_roi_align_takes_no_regions_one_cell_and_nonsense() -> None:
     torch.testing.assert_close(cell, features[1:, :, :1, :1].expand(1, 4, 2, 2))
     nonsense = torch.tensor([[0, math.nan, 0, 8, 8], [1, -1e9, 0, 1e9, math.inf]])
     assert torch.isfinite(ops.roi_align(features, nonsense, 3, 0.125)).all()
-
-
-def test_nearest_sampling_reproduces_a_crop_and_is_zero_beyond_the_frame() -> None:
-    images = torch.randn(2, 3, 12, 16, generator=torch.Generator().manual_seed(0))
-    rois = torch.tensor([[1.0, 4, 3, 10, 9], [0.0, -3, -3, 3, 3]])
-    crops = ops.sample_grid(images, rois, 6)
-    torch.testing.assert_close(crops[0], images[1, :, 3:9, 4:10], atol=0, rtol=0)
-    torch.testing.assert_close(crops[1, :, 3:, 3:], images[0, :, :3, :3], atol=0, rtol=0)
-    assert (crops[1, :, :3] == 0).all()
-    assert (crops[1, :, :, :3] == 0).all()
-
-
-def test_nearest_sampling_never_invents_a_value() -> None:
-    images = torch.randint(0, 5, (2, 1, 20, 20), generator=torch.Generator().manual_seed(0)).float()
-    crops = ops.sample_grid(images, random_rois(20, 2, 0, extent=20.0), 7)
-    assert set(crops.unique().tolist()) <= set(images.unique().tolist())
-
-
-def test_bilinear_sampling_reproduces_a_crop_of_the_same_resolution() -> None:
-    images = torch.randn(2, 3, 12, 16, generator=torch.Generator().manual_seed(0))
-    crop = ops.sample_grid(images, torch.tensor([[1.0, 4, 3, 10, 9]]), 6, mode="bilinear")
-    torch.testing.assert_close(crop[0], images[1, :, 3:9, 4:10])
 
 
 def test_ours_equal_torchvisions() -> None:

@@ -8,7 +8,6 @@ box in it.
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -39,14 +38,6 @@ def box_iou(
     overlap = box_intersection(a, b)
     union = box_area(a)[:, None] + box_area(b)[None] - overlap
     return torch.where(union > 0, overlap / union, torch.zeros_like(union))
-
-
-def box_coverage(
-    boxes: Tensor,  # [N, 4]
-    covers: Tensor,  # [M, 4]
-) -> Tensor:
-    """The part of each box's own area that each cover hides, (N, M) in 0..1."""
-    return box_intersection(boxes, covers) / box_area(boxes)[:, None].clamp(min=torch.finfo(boxes.dtype).tiny)
 
 
 def box_intersection(
@@ -189,31 +180,3 @@ def _axis_samples(low: Tensor, high: Tensor, size: int, ratio: int, cells: int) 
     index = torch.stack([first, (first + 1).clamp(max=cells - 1)], -1).long()
     weight = torch.stack([(1 - fraction) * inside, fraction * inside], -1)
     return index.view(-1, size, 2 * ratio), weight.view(-1, size, 2 * ratio)
-
-
-def sample_grid(
-    images: Tensor,  # [B, C, H, W]
-    rois: Tensor,  # [R, 5]: index of the image, x0, y0, x1, y1 in image pixels
-    size: int,
-    mode: Literal["nearest", "bilinear"] = "nearest",
-) -> Tensor:
-    """The images at the centres of a size x size grid within each region: (R, C, size, size).
-
-    `nearest` takes the pixel that covers the centre, 0 beyond the frame: depth must never be a mean over an edge or a
-    hole. `bilinear` is :func:`roi_align` with one sample a bin.
-    """
-    if mode == "bilinear":
-        return roi_align(images, rois, size, 1.0, sampling_ratio=1)
-    column, in_width = _covering_pixels(rois[:, 1], rois[:, 3], size, images.shape[3])
-    row, in_height = _covering_pixels(rois[:, 2], rois[:, 4], size, images.shape[2])
-    picked = images[rois[:, 0].long()[:, None, None], :, row[:, :, None], column[:, None, :]]
-    inside = (in_height[:, :, None] & in_width[:, None, :])[..., None]
-    return torch.where(inside, picked, torch.zeros_like(picked)).permute(0, 3, 1, 2)
-
-
-def _covering_pixels(low: Tensor, high: Tensor, size: int, pixels: int) -> tuple[Tensor, Tensor]:
-    """Pixels (R, size) that cover the bins' centres along one axis, and whether they are in the image."""
-    steps = (torch.arange(size, device=low.device) + 0.5) / size
-    position = torch.nan_to_num(low[:, None] + (high - low)[:, None] * steps, nan=-1.0).floor()
-    inside = (position >= 0) & (position < pixels)
-    return position.clamp(0, pixels - 1).long(), inside
