@@ -59,12 +59,12 @@ def test_views_of_a_scene_are_drawn_together():
 
 def test_a_method_is_not_better_than_itself_and_worse_when_spoilt(plain_model, make_crowd):
     predictions, truth = make_crowd(plain_model, 5, images=60)
-    result = average_precision(predictions, truth)
+    result = average_precision(predictions, truth, protocol="coco")
     same = compare(result, result, 100)
     assert (same.difference.value, same.difference.low, same.difference.high, same.better) == (0, 0, 0, 0)
     fewer = [replace(image, cam_from_obj=image.cam_from_obj[:0], score=image.score[:0]) for image in predictions.images]
     fewer[::2] = predictions.images[::2]
-    spoilt = compare(result, average_precision(replace(predictions, images=fewer), truth), 100)
+    spoilt = compare(result, average_precision(replace(predictions, images=fewer), truth, protocol="coco"), 100)
     assert spoilt.difference.high < 0
     assert spoilt.better == 0
 
