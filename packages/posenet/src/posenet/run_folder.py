@@ -79,7 +79,7 @@ class RunFolder:
 
 
 def software_versions() -> dict[str, str]:
-    packages = ("binpose-posenet", "binpose-evalkit", "torch", "lightning", "numpy")
+    packages = ("binpose-posenet", "binpose-evalkit", "torch", "lightning-fabric", "numpy")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
