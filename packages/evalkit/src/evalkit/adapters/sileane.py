@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import poses
+from evalkit.atomic import write_json
 from evalkit.camera import Camera
-from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions, load_json, parse_rows
+from evalkit.documents import (
+    GroundTruth,
+    GroundTruthImage,
+    PredictionImage,
+    Predictions,
+    load_json,
+    parse_rows,
+    row_dicts,
+)
 from evalkit.errors import InputError
+from evalkit.obj import read_obj
 from evalkit.objects import SAMPLE_POINTS, THRESHOLD_RATIO, ObjectModel, sample_surface
 from evalkit.symmetry import Symmetry
 
@@ -56,6 +65,24 @@ def read_predictions(folder: Path, object_name: str | None = None, camera_params
         world_from_obj, score = parse_rows(load_json(path), "score", str(path))
         images.append(PredictionImage(path.stem, cam_from_world @ world_from_obj, score))
     return Predictions(object_name or _named(folder).parent.name, images, _frame(view), str(folder))
+
+
+def write_predictions(folder: Path, predictions: Predictions, camera_params: Path | None = None) -> None:
+    """Write FOLDER/SCENE.json for each image, poses in the world, as the toolbox reads results.
+
+    Raises:
+        InputError: the poses are the camera's, and no camera_params.txt says where it stood.
+    """
+    world_from_cam = np.eye(4)
+    if predictions.frame == "camera":
+        if camera_params is None:
+            raise InputError(
+                f"{predictions.source}: its poses are in the camera frame but Siléane's are in the world; "
+                "give the scene's camera_params.txt with --camera-params."
+            )
+        world_from_cam = poses.invert(read_camera_params(camera_params)[1])
+    for image in predictions.images:
+        write_json(folder / f"{image.id}.json", row_dicts(world_from_cam @ image.cam_from_obj, image.score, "score"))
 
 
 def read_object(folder: Path, name: str | None = None) -> ObjectModel:
@@ -116,31 +143,6 @@ def read_camera_params(path: Path) -> tuple[Camera, Array]:
     )
     width, height, fx, fy, cx, cy = (float(read(key, 1)[0]) for key in ("width", "height", "fu", "fv", "cu", "cv"))
     return Camera(int(width), int(height), fx, fy, cx, cy), poses.invert(world_from_cam)
-
-
-def read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
-    """Vertices (V, 3) and triangles (F, 3) of a Wavefront OBJ file; polygons become fans.
-
-    Raises:
-        InputError: it has no faces, or a line cannot be read.
-    """
-    vertices, faces = [], []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        kind, *words = line.split() or [""]
-        try:
-            if kind == "v":
-                vertices.append([float(word) for word in words[:3]])
-            elif kind == "f":
-                corner = [int(word.split("/")[0]) for word in words]
-                faces += [[corner[0], b, c] for b, c in pairwise(corner[1:])]
-        except ValueError:
-            raise InputError(f"{path}: the line '{line[:40]}' is not Wavefront OBJ.") from None
-    triangles = np.array(faces, np.int32).reshape(-1, 3)
-    triangles = np.where(triangles > 0, triangles - 1, triangles + len(vertices))
-    corners_known = len(triangles) and triangles.min() >= 0 and triangles.max() < len(vertices)
-    if not corners_known or any(len(vertex) != 3 for vertex in vertices):
-        raise InputError(f"{path}: the mesh has no faces, or they name vertices that it lacks.")
-    return np.array(vertices), triangles
 
 
 def _symmetry(path: Path, document: dict[str, Any]) -> Symmetry:
