@@ -184,3 +184,34 @@ def test_bop24_scores_the_ground_truth_of_shards_with_one(shards, tmp_path):
     for unit in ("diameter", "mm"):
         assert evalkit("bop24", *files, "--unit", unit).exit_code == 0
         assert json.loads((tmp_path / "out.json").read_text())["ap"] == 1.0
+
+
+def test_predictions_go_out_in_the_format_of_the_toolbox(folder, tmp_path):
+    params = "width 8\nheight 8\nfu 9\nfv 9\ncu 4\ncv 4\nlocation 0 0 1\nrotation 0 1 0 0\n"
+    (tmp_path / "camera_params.txt").write_text(params)
+    out, back = tmp_path / "results", tmp_path / "back.json"
+    camera = ["--camera-params", tmp_path / "camera_params.txt"]
+    assert evalkit("preds", folder / "preds.json", "--to", "sileane", "-o", out, *camera).exit_code == 0
+    assert evalkit("preds", out, "--from", "sileane", "-o", back, *camera, "--object", "thing-none").exit_code == 0
+    scores = []
+    for path in (folder / "preds.json", back):
+        done = evalkit("ap", path, folder / "gt.json", "--json", tmp_path / "out.json")
+        assert done.exit_code == 0, done.output
+        scores.append(json.loads((tmp_path / "out.json").read_text())["ap"])
+    assert scores[0] == pytest.approx(scores[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["gt", ".", "-o", "x.json", "--mesh", "m.ply"], "--mesh"),
+        (["gt", ".", "-o", "x.json", "--from", "bop", "--object", "cup"], "--object"),
+        (["preds", "preds.json", "-o", "x.json"], "--from"),
+        (["preds", "preds.json", "-o", "x.json", "--from", "sileane", "--to", "bop"], "--to"),
+    ],
+)
+def test_options_without_meaning_are_refused(folder, monkeypatch, arguments, word):
+    monkeypatch.chdir(folder)
+    done = evalkit(*arguments)
+    assert done.exit_code == 2
+    assert word in done.output

@@ -148,6 +148,12 @@ def test_what_is_no_document_gets_one_sentence(tmp_path, text):
             read(path)
 
 
+def test_a_byte_order_mark_is_let_pass(documents):
+    path = documents / "preds.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_predictions(path).images
+
+
 def test_published_rounding_is_accepted(documents):
     def round_off(document, image, rows):
         for row in rows:

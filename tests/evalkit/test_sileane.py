@@ -189,3 +189,16 @@ def test_an_obj_file_with_polygons_and_negative_indices_is_read(tmp_path):
     vertices, faces = sileane.read_obj(path)
     assert vertices.shape == (4, 3)
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
+
+
+def test_predictions_go_out_and_come_back(tmp_path):
+    folder = folder_with(tmp_path)
+    write_camera(folder, rotation="0.1 0.9 0.3 -0.2999", location="0.1 0.2 1.5")
+    predictions = sileane.read_predictions(folder / "results")
+    sileane.write_predictions(folder / "again", predictions, folder / "camera_params.txt")
+    again = sileane.read_predictions(folder / "again")
+    assert [image.id for image in again.images] == ["scene_1"]
+    np.testing.assert_allclose(again.images[0].cam_from_obj, predictions.images[0].cam_from_obj, atol=1e-12)
+    assert again.images[0].score.tolist() == [10, 20]
+    with pytest.raises(InputError, match="--camera-params"):
+        sileane.write_predictions(folder / "again", predictions)

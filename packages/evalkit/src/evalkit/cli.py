@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +14,20 @@ from evalkit import documents
 from evalkit.atomic import sha256_of_file, write_json
 from evalkit.command import Commands
 from evalkit.distances import CRITERIA
+from evalkit.errors import InputError
 from evalkit.evaluation import PROTOCOLS, Result, average_precision
 
 FILE = click.Path(path_type=Path)
 NAMES_LISTED = 3
+GT_SOURCES = {  # of each source, the options that it takes
+    "shards": (),
+    "sileane": ("object_name", "camera_params"),
+    "bop": ("object_id",),
+    "icvl": ("mesh", "visibility"),
+    "ipa": ("mesh",),
+}
+PREDS_SOURCES = {"sileane": ("object_name", "camera_params"), "bop": ("object_id",)}
+PREDS_TARGETS = {"sileane": ("camera_params",), "bop": ("object_id",)}
 
 
 @click.group(cls=Commands)
@@ -127,20 +140,16 @@ def bop24(preds: Path, gt: Path, unit: str, json_path: Path | None) -> None:
 
 @main.command()
 @click.argument("source", type=FILE)
-@click.option("--from", "kind", type=click.Choice(["shards", "sileane"]), default="shards", show_default=True)
+@click.option("--from", "kind", type=click.Choice(list(GT_SOURCES)), default="shards", show_default=True)
 @click.option("-o", "--output", type=FILE, required=True, help="The gt.json to write.")
-@click.option("--object", "object_name", help="The object's name, where the source does not say it.")
-@click.option("--camera-params", type=FILE, help="Siléane's camera_params.txt, where it is not beside gt/.")
-def gt(source: Path, kind: str, output: Path, object_name: str | None, camera_params: Path | None) -> None:
+@click.option("--object", "object_name", help="sileane: the object's name, where the folder's is not it.")
+@click.option("--camera-params", type=FILE, help="sileane: camera_params.txt, where it is not beside gt/.")
+@click.option("--object-id", type=int, help="bop: which object, where there are several.")
+@click.option("--mesh", type=FILE, help="icvl, ipa: the object's mesh.")
+@click.option("--visibility", type=FILE, help="icvl: a file of visibilities, which the set itself lacks.")
+def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
     """Write the ground truth of SOURCE (a folder) as gt.json."""
-    if kind == "shards":
-        from evalkit.ground_truth import from_shards
-
-        truth = from_shards(source)
-    else:
-        from evalkit.adapters import sileane
-
-        truth = sileane.read_ground_truth(source, object_name, camera_params)
+    truth = adapter(kind, "read_ground_truth", GT_SOURCES[kind], options)(source)
     documents.write_ground_truth(output, truth)
     instances = sum(len(image.visibility) for image in truth.images)
     click.echo(
@@ -150,18 +159,53 @@ def gt(source: Path, kind: str, output: Path, object_name: str | None, camera_pa
 
 @main.command()
 @click.argument("source", type=FILE)
-@click.option("--from", "kind", type=click.Choice(["sileane"]), required=True)
-@click.option("-o", "--output", type=FILE, required=True, help="The preds.json to write.")
-@click.option("--object", "object_name", help="The object's name, where the source does not say it.")
-@click.option("--camera-params", type=FILE, help="Siléane's camera_params.txt, where it is not beside the results.")
-def preds(source: Path, kind: str, output: Path, object_name: str | None, camera_params: Path | None) -> None:
-    """Write somebody's results in SOURCE (a folder) as preds.json."""
-    from evalkit.adapters import sileane
-
-    predictions = sileane.read_predictions(source, object_name, camera_params)
-    documents.write_predictions(output, predictions)
+@click.option("--from", "source_kind", type=click.Choice(list(PREDS_SOURCES)), help="SOURCE is somebody's results.")
+@click.option("--to", "target_kind", type=click.Choice(list(PREDS_SOURCES)), help="SOURCE is a preds.json.")
+@click.option("-o", "--output", type=FILE, required=True, help="The preds.json to write, or with --to their file.")
+@click.option("--object", "object_name", help="sileane: the object's name, where the folder's is not it.")
+@click.option("--camera-params", type=FILE, help="sileane: camera_params.txt, where it is not beside the results.")
+@click.option("--object-id", type=int, help="bop: which object, where there are several.")
+def preds(source: Path, source_kind: str | None, target_kind: str | None, output: Path, **options: Any) -> None:
+    """Turn somebody's results into a preds.json (--from), or a preds.json into theirs (--to)."""
+    if (source_kind is None) == (target_kind is None):
+        raise click.UsageError("give one of --from and --to")
+    if target_kind is not None:
+        predictions = documents.read_predictions(source)
+        adapter(target_kind, "write_predictions", PREDS_TARGETS[target_kind], options)(output, predictions)
+    if source_kind is not None:
+        predictions = adapter(source_kind, "read_predictions", PREDS_SOURCES[source_kind], options)(source)
+        documents.write_predictions(output, predictions)
     hypotheses = sum(len(image.score) for image in predictions.images)
     click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
+
+
+@main.command()
+@click.argument("preds", type=FILE)
+@click.argument("gt", type=FILE)
+@click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw them.")
+@click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write.")
+@click.option("--images", "count", type=click.IntRange(1, 100), default=8, show_default=True, help="How many to draw.")
+@evaluation_options
+def report(preds: Path, gt: Path, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
+    """Write a page that shows the evaluation: curves, errors, images, rules; it needs no network."""
+    from evalkit.report import save_report
+
+    result = save_report(output, preds, gt, shards, count, **rules)
+    click.echo(f"{output}: AP {result.ap:.4f}")
+
+
+@main.command()
+def published() -> None:
+    """Print the tables of the papers, with their sources."""
+    from evalkit.published import TABLES
+
+    for table in TABLES:
+        width = max(len(method) for method in table.rows)
+        click.echo(f"{table.title}\n{table.source}\n")
+        click.echo(" " * width + "".join(f"{column:>14}" for column in table.columns))
+        for method, figures in table.rows.items():
+            click.echo(f"{method:<{width}}" + "".join(f"{figure:>14g}" for figure in figures))
+        click.echo("")
 
 
 @main.command()
@@ -181,6 +225,21 @@ def picture(
     predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
     result = save_picture(output, predictions, truth, shards, image_ids, count, **rules)
     click.echo(f"{output}: AP {result.ap:.4f}")
+
+
+def adapter(kind: str, action: str, takes: tuple[str, ...], options: dict[str, Any]) -> Callable[..., Any]:
+    """The function `action` of the adapter of that name, with those of the options that it takes.
+
+    Raises:
+        InputError: an option was given that means nothing there.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    foreign = next((name for name in given if name not in takes), None)
+    if foreign is not None:
+        option = "--" + foreign.removesuffix("_name").replace("_", "-")
+        raise InputError(f"{option} means nothing for {kind}; leave it out.")
+    module = "evalkit.ground_truth" if kind == "shards" else f"evalkit.adapters.{kind}"
+    return partial(getattr(import_module(module), action), **given)
 
 
 def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:

@@ -165,7 +165,7 @@ def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
         {
             "id": image.id,
             "camera": None if image.camera is None else image.camera.to_json(),
-            "instances": _row_dicts(image.cam_from_obj, image.visibility, "visibility"),
+            "instances": row_dicts(image.cam_from_obj, image.visibility, "visibility"),
         }
         for image in truth.images
     )
@@ -176,7 +176,7 @@ def write_predictions(path: Path | str, predictions: Predictions) -> None:
     """Write a preds.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
     head = {"format": PREDS_FORMAT, "frame": predictions.frame, "object": predictions.object}
     lines = (
-        {"id": image.id, "time_s": image.time_s, "hypotheses": _row_dicts(image.cam_from_obj, image.score, "score")}
+        {"id": image.id, "time_s": image.time_s, "hypotheses": row_dicts(image.cam_from_obj, image.score, "score")}
         for image in predictions.images
     )
     _write(path, head, lines)
@@ -202,8 +202,8 @@ def load_json(path: Path | str, object_hook: Any = None) -> Any:
         InputError: it is not UTF-8, truncated, not JSON, or nested too deep.
         OSError: the file cannot be read.
     """
-    text = Path(path).read_bytes()
     try:
+        text = Path(path).read_bytes().decode("utf-8-sig")  # some editors write a byte order mark
         return json.loads(text, object_hook=object_hook)
     except RecursionError:
         raise InputError(f"{path}: the JSON is nested too deep to be a document of ours.") from None
@@ -358,7 +358,8 @@ def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
     return name
 
 
-def _row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
+def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
+    """Poses (n, 4, 4) and values (n,) as ``[{"R", "t", key}]``."""
     pose = np.asarray(cam_from_obj, float).reshape(-1, 4, 4)
     columns = pose[:, :3, :3].tolist(), pose[:, :3, 3].tolist(), np.asarray(value, float).tolist()
     return [{"R": r, "t": t, key: v} for r, t, v in zip(*columns, strict=True)]

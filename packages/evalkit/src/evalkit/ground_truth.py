@@ -9,7 +9,7 @@ from evalkit.documents import GroundTruth, GroundTruthImage
 from evalkit.shards import ShardDataset, ShardReader
 
 
-def from_shards(source: Path | str | Sequence[Path | str]) -> GroundTruth:
+def read_ground_truth(source: Path | str | Sequence[Path | str]) -> GroundTruth:
     """The labels of all frames of a folder of shards, hidden instances included; pixels are not read.
 
     Raises:
