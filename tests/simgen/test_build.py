@@ -215,6 +215,17 @@ def test_a_camera_file_and_a_size_exclude_each_other(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "leave --width and --height out" in result.stderr
 
 
+def test_a_disk_that_takes_no_more_is_reported_in_one_sentence(tmp_path: Path) -> None:
+    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
+    script = tmp_path / "script.py"
+    script.write_text(f"{limited}\nif __name__ == '__main__':\n    from simgen.cli import main\n    main()\n")
+    arguments = ["build", "--object", "bunny", "--preset", "debug", "--workers", "1", "-o", str(tmp_path / "out")]
+    result = subprocess.run([sys.executable, str(script), *arguments], capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    assert result.stderr.splitlines()[-1] == f"Error: {tmp_path}/out/shard-00000.h5: File too large."
+
+
 # ---- interruptions ----
 
 COMMAND = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from typing import Any
 
@@ -46,7 +47,8 @@ def describe_os_error(error: OSError) -> str:
         errno.ENOTDIR: f"{name} lies below something that is not a folder; check the path.",
         errno.EDQUOT: f"the disk quota is used up for {name}; free some space and run the same command again.",
     }
-    return sentences.get(error.errno or 0, f"{name}: {error.strerror or error}.")
+    reason = os.strerror(error.errno) if error.errno else error.strerror or error  # h5py's strerror is a paragraph
+    return sentences.get(error.errno or 0, f"{name}: {reason}.")
 
 
 def _fail(sentence: str) -> None:

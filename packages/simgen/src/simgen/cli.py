@@ -14,6 +14,7 @@ from evalkit.camera import Camera
 from evalkit.command import Commands
 from evalkit.errors import InputError
 from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances
+from simgen.inspect_commands import object_command, preview_command, verify_command
 
 
 @click.group(cls=Commands)
@@ -101,6 +102,11 @@ def _configured(
         sides = (preset.camera.width if width is None else width, preset.camera.height if height is None else height)
         changes["camera"] = default_camera(*sides)
     return replace(preset, **changes)
+
+
+cli.add_command(object_command)
+cli.add_command(preview_command)
+cli.add_command(verify_command)
 
 
 def main() -> None:
