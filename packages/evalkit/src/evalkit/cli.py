@@ -183,30 +183,27 @@ def preds(source: Path, source_kind: str | None, target_kind: str | None, output
 @main.command()
 @click.argument("preds", type=FILE)
 @click.argument("gt", type=FILE)
-@click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw them.")
-@click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write.")
-@click.option("--images", "count", type=click.IntRange(1, 100), default=8, show_default=True, help="How many to draw.")
+@click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw some of them.")
+@click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write; its figures go beside it.")
+@click.option("--images", "count", type=click.IntRange(1, 36), default=8, show_default=True, help="How many to draw.")
 @evaluation_options
 def report(preds: Path, gt: Path, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
-    """Write a page that shows the evaluation: curves, errors, images, rules; it needs no network."""
-    from evalkit.report import save_report
+    """Everything about an evaluation on one page that needs no network, and each figure as PNG and CSV."""
+    from evalkit.report import figures_folder, save_report
 
-    result = save_report(output, preds, gt, shards, count, **rules)
-    click.echo(f"{output}: AP {result.ap:.4f}")
+    predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
+    inputs = described_inputs(predictions=preds, ground_truth=gt)
+    result = save_report(output, predictions, truth, shards, count, inputs, **rules)
+    click.echo(f"{output}: AP {result.ap:.4f}; its figures are in {figures_folder(output)}")
 
 
 @main.command()
-def published() -> None:
-    """Print the tables of the papers, with their sources."""
-    from evalkit.published import TABLES
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def published(as_json: bool) -> None:
+    """What papers published, with their sources."""
+    from evalkit import published
 
-    for table in TABLES:
-        width = max(len(method) for method in table.rows)
-        click.echo(f"{table.title}\n{table.source}\n")
-        click.echo(" " * width + "".join(f"{column:>14}" for column in table.columns))
-        for method, figures in table.rows.items():
-            click.echo(f"{method:<{width}}" + "".join(f"{figure:>14g}" for figure in figures))
-        click.echo("")
+    click.echo(json.dumps(published.to_json(), indent=1) if as_json else published.as_text())
 
 
 @main.command()
@@ -246,32 +243,6 @@ def adapter(kind: str, action: str, takes: tuple[str, ...], options: dict[str, A
 def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:
     """Names and hashes of the files that a result was computed from."""
     return {key: {"file": path.name, "sha256": sha256_of_file(path)} for key, path in paths.items()}
-
-
-@main.command()
-@click.argument("preds", type=FILE)
-@click.argument("gt", type=FILE)
-@click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw some of them.")
-@click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write; its figures go beside it.")
-@click.option("--images", "count", type=click.IntRange(1, 36), default=8, show_default=True, help="How many to draw.")
-@evaluation_options
-def report(preds: Path, gt: Path, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
-    """Everything about an evaluation on one page that needs no network, and each figure as PNG and CSV."""
-    from evalkit.report import figures_folder, save_report
-
-    predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
-    inputs = described_inputs(predictions=preds, ground_truth=gt)
-    result = save_report(output, predictions, truth, shards, count, inputs, **rules)
-    click.echo(f"{output}: AP {result.ap:.4f}; its figures are in {figures_folder(output)}")
-
-
-@main.command()
-@click.option("--json", "as_json", is_flag=True, help="As JSON.")
-def published(as_json: bool) -> None:
-    """What papers published, with their sources."""
-    from evalkit import published
-
-    click.echo(json.dumps(published.to_json(), indent=1) if as_json else published.as_text())
 
 
 def summary(result: Result) -> str:

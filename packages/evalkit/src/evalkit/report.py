@@ -1,4 +1,4 @@
-"""One page that shows an evaluation to a person: figures, pictures, rules, all in one HTML file that needs no network."""
+"""An evaluation as one HTML page that needs no network: figures, pictures, rules and what others published."""
 
 from __future__ import annotations
 
