@@ -31,6 +31,7 @@ from evalkit import (
     write_predictions,
 )
 from evalkit.adapters import sileane
+from evalkit.distances import Sym, SymToolbox
 from evalkit.objects import ObjectModel
 
 HERE = Path(__file__).resolve().parent
@@ -67,6 +68,30 @@ def bench_reference_scenes(folder: Path) -> None:
     plain = seconds(lambda: score_plainly(predictions, truth))
     report(f"the plain reference protocol ({plain / fast:.0f} times ours)", plain)
     report("`evalkit ap` as a process", seconds(lambda: evalkit_ap(preds, gt)))
+    compare_toolbox(source)
+    print()
+
+
+def compare_toolbox(folder: Path) -> None:
+    """How far the toolbox's reading of the Sym distance is from the right one, on the Siléane bunny."""
+    truth, predictions = sileane.read_ground_truth(folder), sileane.read_predictions(folder / "results")
+    rng = np.random.default_rng(0)
+    nowhere = np.zeros((100_000, 3))
+    one = poses.from_rotation_translation(poses.random_rotations(rng, len(nowhere)), nowhere)
+    print("\nSym on the Siléane bunny, right and as its toolbox reads it")
+    for degrees in (5, 20, 90, 180):
+        turn = poses.from_axis_angle(rng.normal(size=nowhere.shape), np.radians(degrees))
+        other = one @ poses.from_rotation_translation(turn, nowhere)
+        right, toolbox = 1000 * Sym(truth.object)(one, other), 1000 * SymToolbox(truth.object)(one, other)
+        print(
+            f"{degrees:>4} degrees apart: {right.mean():6.2f} mm, off by up to {np.abs(right - toolbox).max():.2f} mm"
+        )
+    for threshold in (0.1, 0.025, 0.015, 0.01, 0.005):
+        right_ap, toolbox_ap = (
+            average_precision(predictions, truth, protocol=protocol, threshold=threshold).ap
+            for protocol in ("sileane", "sileane-toolbox")
+        )
+        print(f"AP at {threshold:5g} diameters: {right_ap:.4f}, toolbox {toolbox_ap:.4f}")
 
 
 def bench_crowd(folder: Path, images: int) -> None:
