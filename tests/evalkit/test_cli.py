@@ -205,9 +205,9 @@ def test_predictions_go_out_in_the_format_of_the_toolbox(folder, tmp_path):
     ("arguments", "word"),
     [
         (["gt", ".", "-o", "x.json", "--mesh", "m.ply"], "--mesh"),
-        (["gt", ".", "-o", "x.json", "--from", "bop", "--object", "cup"], "--object"),
+        (["gt", ".", "-o", "x.json", "--from", "ipa", "--object-id", "3"], "--object-id"),
         (["preds", "preds.json", "-o", "x.json"], "--from"),
-        (["preds", "preds.json", "-o", "x.json", "--from", "sileane", "--to", "bop"], "--to"),
+        (["preds", "preds.json", "-o", "x.csv", "--to", "bop", "--camera-params", "x.txt"], "--camera-params"),
     ],
 )
 def test_options_without_meaning_are_refused(folder, monkeypatch, arguments, word):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from evalkit import InputError, average_precision, poses
+from evalkit import InputError, PredictionImage, Predictions, average_precision, poses
 from evalkit.adapters import sileane
 from evalkit.distances import Sym, SymToolbox
 from evalkit.objects import surface_moments
@@ -200,5 +201,20 @@ def test_predictions_go_out_and_come_back(tmp_path):
     assert [image.id for image in again.images] == ["scene_1"]
     np.testing.assert_allclose(again.images[0].cam_from_obj, predictions.images[0].cam_from_obj, atol=1e-12)
     assert again.images[0].score.tolist() == [10, 20]
-    with pytest.raises(InputError, match="--camera-params"):
-        sileane.write_predictions(folder / "again", predictions)
+
+
+def test_without_a_camera_predictions_go_out_as_they_are_and_say_so(tmp_path):
+    predictions = sileane.read_predictions(folder_with(tmp_path) / "results")
+    assert sileane.write_predictions(tmp_path / "world", predictions) is None
+    in_camera = replace(predictions, frame="camera")
+    assert "--camera-params" in sileane.write_predictions(tmp_path / "camera", in_camera)
+    for name in ("world", "camera"):
+        rows = json.loads((tmp_path / name / "scene_1.json").read_text())
+        np.testing.assert_array_equal([row["t"] for row in rows], predictions.images[0].cam_from_obj[:, :3, 3])
+
+
+def test_an_image_id_that_leaves_the_folder_is_refused(tmp_path):
+    image = PredictionImage("../away", np.eye(4)[None], np.ones(1))
+    with pytest.raises(InputError, match=r"\.\./away"):
+        sileane.write_predictions(tmp_path / "out", Predictions("thing", [image]))
+    assert not (tmp_path / "away.json").exists()

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +12,22 @@ from evalkit import documents
 from evalkit.atomic import sha256_of_file, write_json
 from evalkit.command import Commands
 from evalkit.distances import CRITERIA
-from evalkit.errors import InputError
-from evalkit.evaluation import PROTOCOLS, Result, average_precision
+from evalkit.evaluation import Result, average_precision
+from evalkit.format_commands import gt, preds
+from evalkit.rules import PROTOCOLS
 
 FILE = click.Path(path_type=Path)
 NAMES_LISTED = 3
-GT_SOURCES = {  # of each source, the options that it takes
-    "shards": (),
-    "sileane": ("object_name", "camera_params"),
-    "bop": ("object_id",),
-    "icvl": ("mesh", "visibility"),
-    "ipa": ("mesh",),
-}
-PREDS_SOURCES = {"sileane": ("object_name", "camera_params"), "bop": ("object_id",)}
-PREDS_TARGETS = {"sileane": ("camera_params",), "bop": ("object_id",)}
 
 
 @click.group(cls=Commands)
 @click.version_option(package_name="binpose-evalkit")
 def main() -> None:
     """How good are 6D pose predictions? AP of poses in crowds, by rules that are stated."""
+
+
+main.add_command(gt)
+main.add_command(preds)
 
 
 def evaluation_options(command: Any) -> Any:
@@ -140,47 +133,6 @@ def bop24(preds: Path, gt: Path, unit: str, json_path: Path | None) -> None:
 
 
 @main.command()
-@click.argument("source", type=FILE)
-@click.option("--from", "kind", type=click.Choice(list(GT_SOURCES)), default="shards", show_default=True)
-@click.option("-o", "--output", type=FILE, required=True, help="The gt.json to write.")
-@click.option("--object", "object_name", help="sileane: the object's name, where the folder's is not it.")
-@click.option("--camera-params", type=FILE, help="sileane: camera_params.txt, where it is not beside gt/.")
-@click.option("--object-id", type=int, help="bop: which object, where there are several.")
-@click.option("--mesh", type=FILE, help="icvl, ipa: the object's mesh.")
-@click.option("--visibility", type=FILE, help="icvl: a file of visibilities, which the set itself lacks.")
-def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
-    """Write the ground truth of SOURCE (a folder) as gt.json."""
-    truth = adapter(kind, "read_ground_truth", GT_SOURCES[kind], options)(source)
-    documents.write_ground_truth(output, truth)
-    instances = sum(len(image.visibility) for image in truth.images)
-    click.echo(
-        f"{output}: {len(truth.images)} images, {instances} instances of {truth.object.name}, {truth.frame} frame"
-    )
-
-
-@main.command()
-@click.argument("source", type=FILE)
-@click.option("--from", "source_kind", type=click.Choice(list(PREDS_SOURCES)), help="SOURCE is somebody's results.")
-@click.option("--to", "target_kind", type=click.Choice(list(PREDS_SOURCES)), help="SOURCE is a preds.json.")
-@click.option("-o", "--output", type=FILE, required=True, help="The preds.json to write, or with --to their file.")
-@click.option("--object", "object_name", help="sileane: the object's name, where the folder's is not it.")
-@click.option("--camera-params", type=FILE, help="sileane: camera_params.txt, where it is not beside the results.")
-@click.option("--object-id", type=int, help="bop: which object, where there are several.")
-def preds(source: Path, source_kind: str | None, target_kind: str | None, output: Path, **options: Any) -> None:
-    """Turn somebody's results into a preds.json (--from), or a preds.json into theirs (--to)."""
-    if (source_kind is None) == (target_kind is None):
-        raise click.UsageError("give one of --from and --to")
-    if target_kind is not None:
-        predictions = documents.read_predictions(source)
-        adapter(target_kind, "write_predictions", PREDS_TARGETS[target_kind], options)(output, predictions)
-    if source_kind is not None:
-        predictions = adapter(source_kind, "read_predictions", PREDS_SOURCES[source_kind], options)(source)
-        documents.write_predictions(output, predictions)
-    hypotheses = sum(len(image.score) for image in predictions.images)
-    click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
-
-
-@main.command()
 @click.argument("preds", type=FILE)
 @click.argument("gt", type=FILE)
 @click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw some of them.")
@@ -225,21 +177,6 @@ def picture(
     click.echo(f"{output}: AP {result.ap:.4f}")
 
 
-def adapter(kind: str, action: str, takes: tuple[str, ...], options: dict[str, Any]) -> Callable[..., Any]:
-    """The function `action` of the adapter of that name, with those of the options that it takes.
-
-    Raises:
-        InputError: an option was given that means nothing there.
-    """
-    given = {name: value for name, value in options.items() if value is not None}
-    foreign = next((name for name in given if name not in takes), None)
-    if foreign is not None:
-        option = "--" + foreign.removesuffix("_name").replace("_", "-")
-        raise InputError(f"{option} means nothing for {kind}; leave it out.")
-    module = "evalkit.ground_truth" if kind == "shards" else f"evalkit.adapters.{kind}"
-    return partial(getattr(import_module(module), action), **given)
-
-
 def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:
     """Names and hashes of the files that a result was computed from."""
     return {key: {"file": path.name, "sha256": sha256_of_file(path)} for key, path in paths.items()}
@@ -255,7 +192,7 @@ def summary(result: Result) -> str:
         f"recall at P = 0.99  {result.recall_at_precision_99:.4f}",
         f"recall at P = 0.50  {result.recall_at_precision_50:.4f}",
         "",
-        f"images              {counts['images']}{_missing(result.missing_images)}",
+        f"images              {counts['images']}{_missing(result)}",
         f"instances           {counts['instances']}, of them {counts['instances_to_find']} to find",
         f"hypotheses          {counts['hypotheses']}: {counts['true']} true, {counts['false']} false "
         f"({counts['duplicates']} of them duplicates), {counts['ignored']} ignored",
@@ -265,11 +202,13 @@ def summary(result: Result) -> str:
     return "\n".join(lines)
 
 
-def _missing(names: list[str]) -> str:
+def _missing(result: Result) -> str:
+    names = result.missing_images
     if not names:
         return ""
     listed = ", ".join(names[:NAMES_LISTED]) + (" …" if len(names) > NAMES_LISTED else "")
-    return f", of them {len(names)} without predictions ({listed})"
+    skipped = result.settings.protocol == "sileane-toolbox"
+    return f"; {len(names)} {'more skipped' if skipped else 'of them'} for want of predictions ({listed})"
 
 
 if __name__ == "__main__":

@@ -57,12 +57,13 @@ class GroundTruthImage:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """A gt.json; `source` names it in messages."""
+    """A gt.json; `source` names it in messages, `remarks` say in sentences what its reader had to assume."""
 
     object: ObjectModel
     images: list[GroundTruthImage]
     frame: str = "camera"
     source: str = "the ground truth"
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,11 @@
-"""Ground truth out of our own shards."""
+"""Ground truth out of our own shards, and the predictions that would be perfect."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from evalkit.documents import GroundTruth, GroundTruthImage
+from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
 from evalkit.shards import ShardDataset, ShardReader
 
 
@@ -30,3 +30,15 @@ def image(reader: ShardReader, frame: int) -> GroundTruthImage:
     return GroundTruthImage(
         reader.image_id(frame), reader.header.camera, labels.cam_from_obj, labels.visibility.astype(float)
     )
+
+
+def read_predictions(source: Path | str | Sequence[Path | str]) -> Predictions:
+    """The labels themselves as hypotheses, scored by visibility: what a method without errors would say.
+
+    Raises:
+        InputError: as :func:`read_ground_truth`.
+    """
+    truth = read_ground_truth(source)
+    images = [PredictionImage(view.id, view.cam_from_obj, view.visibility) for view in truth.images]
+    reference = {"name": truth.object.name, "diameter": truth.object.diameter}
+    return Predictions(reference, images, source=truth.source)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import poses
+from evalkit.adapters.fields import numbers
 from evalkit.atomic import write_json
 from evalkit.camera import Camera
 from evalkit.documents import (
@@ -67,22 +68,27 @@ def read_predictions(folder: Path, object_name: str | None = None, camera_params
     return Predictions(object_name or _named(folder).parent.name, images, _frame(view), str(folder))
 
 
-def write_predictions(folder: Path, predictions: Predictions, camera_params: Path | None = None) -> None:
-    """Write FOLDER/SCENE.json for each image, poses in the world, as the toolbox reads results.
+def write_predictions(folder: Path, predictions: Predictions, camera_params: Path | None = None) -> str | None:
+    """Write result files FOLDER/IMAGE.json, as the toolbox reads them, and say which frame their poses are in.
+
+    Args:
+        camera_params: takes poses from the camera's frame to the world's, which the toolbox's ground truth is in.
 
     Raises:
-        InputError: the poses are the camera's, and no camera_params.txt says where it stood.
+        InputError: an image's id is no file name.
     """
-    world_from_cam = np.eye(4)
-    if predictions.frame == "camera":
-        if camera_params is None:
-            raise InputError(
-                f"{predictions.source}: its poses are in the camera frame but Siléane's are in the world; "
-                "give the scene's camera_params.txt with --camera-params."
-            )
+    world_from_cam, remark = np.eye(4), None
+    if predictions.frame == "camera" and camera_params is None:
+        remark = (
+            "No --camera-params: the poses stay in the camera's frame, but Siléane's ground truth is in the world's."
+        )
+    elif predictions.frame == "camera" and camera_params is not None:
         world_from_cam = poses.invert(read_camera_params(camera_params)[1])
     for image in predictions.images:
+        if Path(image.id).name != image.id:
+            raise InputError(f"{predictions.source}: image '{image.id}': the id cannot name a file; rename the image.")
         write_json(folder / f"{image.id}.json", row_dicts(world_from_cam @ image.cam_from_obj, image.score, "score"))
+    return remark
 
 
 def read_object(folder: Path, name: str | None = None) -> ObjectModel:
@@ -95,10 +101,10 @@ def read_object(folder: Path, name: str | None = None) -> ObjectModel:
     document = load_json(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected an object with 'type', 'Rref2i', 'tref2i', 'distance_threshold'.")
-    threshold = float(_numbers(path, document, "distance_threshold", ()))
+    threshold = float(numbers(document, "distance_threshold", (), str(path)))
     if threshold <= 0:
         raise InputError(f"{path}: the field 'distance_threshold' must be positive metres.")
-    turn, shift = _numbers(path, document, "Rref2i", (3, 3)), _numbers(path, document, "tref2i", (3,))
+    turn, shift = numbers(document, "Rref2i", (3, 3), str(path)), numbers(document, "tref2i", (3,), str(path))
     if not poses.is_rotation(turn, 5e-3):
         raise InputError(f"{path}: the field 'Rref2i' is not a rotation.")
     inertial_from_obj = poses.from_rotation_translation(poses.nearest_rotation(turn), shift)
@@ -154,7 +160,7 @@ def _symmetry(path: Path, document: dict[str, Any]) -> Symmetry:
     if "revolution" in lowered:
         return Symmetry.parse("revolution-flip" if _has_flip(path, document) else "revolution")
     if "affine" in lowered or "G" in document:
-        elements = _numbers(path, document, "G", (-1, 3, 3))
+        elements = numbers(document, "G", (-1, 3, 3), str(path))
         try:
             return Symmetry.from_rotations(elements)
         except InputError as error:
@@ -175,18 +181,8 @@ def _lambda(path: Path, document: dict[str, Any], symmetry: Symmetry) -> Array:
         return np.eye(3)  # takes no part in the distance
     scalar = document.get("lambda", document.get("Lambda"))
     if symmetry.kind == "revolution" and isinstance(scalar, int | float):
-        return float(_numbers(path, {"lambda": scalar}, "lambda", ())) / np.sqrt(2.0) * np.eye(3)
-    return _numbers(path, document, "Lambda", (3, 3))
-
-
-def _numbers(path: Path, document: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(document[key], dtype=float).reshape(shape)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise InputError(f"{path}: the field '{key}' is missing or does not hold numbers of shape {shape}.") from None
-    if not np.isfinite(array).all():
-        raise InputError(f"{path}: the field '{key}' holds a number that is not finite.")
-    return array
+        return float(numbers({"lambda": scalar}, "lambda", (), str(path))) / np.sqrt(2.0) * np.eye(3)
+    return numbers(document, "Lambda", (3, 3), str(path))
 
 
 def _with_surface(model: ObjectModel, mesh: Path) -> ObjectModel:
