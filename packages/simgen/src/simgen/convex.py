@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -71,24 +72,10 @@ def cache_folder() -> Path:
 
 
 def _decompose(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Part]:
-    """CoACD on the mesh scaled to unit size, so that its tolerances mean the same for a screw and a crate.
-
-    In a process of its own: it prints from C++, cannot be interrupted, and may crash on a bad mesh.
-    """
+    """CoACD on the mesh scaled to unit size, so that its tolerances mean the same for a screw and a crate."""
     low, high = vertices.min(0), vertices.max(0)
     center, size = (low + high) / 2, float((high - low).max())
-    unit = _simplified((vertices - center) / size, faces)
-    with tempfile.TemporaryDirectory(prefix="binpose-convex-") as folder:
-        mesh_file, parts_file = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
-        np.savez(mesh_file, vertices=unit.vertices, faces=unit.faces)
-        command = [sys.executable, "-m", "simgen.convex", str(mesh_file), str(parts_file)]
-        try:
-            done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT_S)
-        except subprocess.TimeoutExpired:
-            raise ConvexPartsError(f"CoACD took longer than {TIME_LIMIT_S:g} s") from None
-        parts = _read(parts_file)
-        if not parts:
-            raise ConvexPartsError(f"CoACD failed with exit code {done.returncode}")
+    parts = _run_coacd(_simplified((vertices - center) / size, faces))
     return [(points * size + center, triangles) for points, triangles in parts]
 
 
@@ -98,16 +85,22 @@ def _simplified(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> trim
     return mesh.simplify_quadric_decimation(face_count=MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
 
 
-def _run_coacd(mesh_file: Path, parts_file: Path) -> None:
-    """What the child process does."""
-    import coacd
-
-    with np.load(mesh_file, allow_pickle=False) as archive:
-        mesh = trimesh.Trimesh(archive["vertices"], archive["faces"], process=False)
-    coacd.set_log_level("off")
+def _run_coacd(mesh: trimesh.Trimesh) -> list[Part]:
+    """The parts of a mesh of unit size; see :mod:`simgen.coacd_process`."""
     preprocess = "off" if mesh.is_watertight else "auto"  # remeshing a sound mesh costs a minute and rounds it
-    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), preprocess_mode=preprocess, **COACD_OPTIONS)
-    _write(parts_file, [(np.asarray(points, float), np.asarray(triangles, np.int32)) for points, triangles in parts])
+    options = json.dumps({**COACD_OPTIONS, "preprocess_mode": preprocess})
+    with tempfile.TemporaryDirectory(prefix="binpose-convex-") as folder:
+        mesh_file, parts_file = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
+        np.savez(mesh_file, vertices=mesh.vertices, faces=mesh.faces)
+        command = [sys.executable, "-m", "simgen.coacd_process", str(mesh_file), str(parts_file), options]
+        try:
+            done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            raise ConvexPartsError(f"CoACD took longer than {TIME_LIMIT_S:g} s") from None
+        parts = _read(parts_file)
+        if not parts:
+            raise ConvexPartsError(f"CoACD failed with exit code {done.returncode}")
+    return parts
 
 
 def _hull(points: NDArray[np.float64]) -> Part:
@@ -144,7 +137,3 @@ def _write(path: Path, parts: list[Part]) -> None:
         arrays[f"vertices_{i}"], arrays[f"faces_{i}"] = vertices, faces
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **arrays)
-
-
-if __name__ == "__main__":
-    _run_coacd(Path(sys.argv[1]), Path(sys.argv[2]))

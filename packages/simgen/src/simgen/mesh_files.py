@@ -45,11 +45,11 @@ def _load(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         with _silent_trimesh():
             mesh = trimesh.load_scene(path, process=False).to_mesh()
             return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, np.int64).reshape(-1, 3)
-    except OSError:
-        raise
     except MemoryError:
         raise InputError(f"{path}: too large for this machine's memory; decimate the mesh first.") from None
     except Exception as error:  # a parser fed with arbitrary bytes raises anything
+        if isinstance(error, OSError) and error.filename == str(path):
+            raise
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(
             f"{path}: cannot be read as a {path.suffix.lower().lstrip('.').upper()} mesh ({reason}); export it again."

@@ -159,6 +159,8 @@ def _count_components(vertex_count: int, faces: Faces) -> int:
 
 def signed_volume(vertices: Vertices, faces: NDArray[np.integer[Any]]) -> float:
     """Signed volume under the faces, seen from the middle of the vertices."""
+    if len(faces) == 0:
+        return 0.0
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 

@@ -81,8 +81,8 @@ def prepare_object(source: str, units: str = "auto", scale: float = 1.0, symmetr
     mesh = mend(vertices, faces)
     _require_body(mesh, source)
     mesh, unit, reason, warnings = _in_metres(mesh, source, units, scale)
-    parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     found = resolve_symmetry(mesh.vertices, mesh.faces, symmetry)
+    parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
     model = ObjectModel.from_mesh(name, mesh.vertices, mesh.faces, found.symmetry, **notes)
     warnings += [*mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]

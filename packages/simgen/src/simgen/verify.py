@@ -53,7 +53,8 @@ class Report:
     def summary(self) -> str:
         visibility = np.concatenate([np.zeros(0, np.float32), *self.visibility])
         seen = f", {(visibility >= 0.5).mean():.0%} of them at least half visible" if len(visibility) else ""
-        verdict = f"{len(self.problems)} problems" if self.problems else "all checksums and label laws hold"
+        count = len(self.problems)
+        verdict = f"{count} problem{'s' * (count > 1)}" if count else "all checksums and label laws hold"
         return (
             f"{self.shards} shards, {len(self.scenes)} scenes, {self.frames} frames, "
             f"{len(visibility)} labelled instances{seen}: {verdict}"
