@@ -66,7 +66,7 @@ class TrainConfig:
     """The schedule."""
 
     batch_images: int = 8
-    rois_per_image: int = 8
+    rois_per_image: int = 16
     optimizer: Literal["adam", "adamw"] = "adamw"
     learning_rate: float = 1e-3
     weight_decay: float = 1e-2
