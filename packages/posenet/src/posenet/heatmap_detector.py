@@ -16,9 +16,7 @@ from torch import Tensor, nn
 from posenet.detector import Detections, Detector
 from posenet.ops import clip_boxes, nms
 
-PRIOR = (
-    0.1  # probability of a centre that an untrained heatmap shows: RetinaNet's start, so that negatives do not swamp
-)
+PRIOR = 0.1  # probability of a centre that an untrained heatmap shows; RetinaNet's start, lest negatives swamp it
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
 REACH = 1  # cells around a centre that learn its box
@@ -103,8 +101,8 @@ class HeatmapDetector(Detector):
         """The surest cells, thinned by the overlap of their boxes.
 
         CenterNet keeps the local maxima of 3 x 3 cells instead. In a heap two visible boxes often have their centres in
-        adjacent cells though their overlap is small: on bins of 10-20 bunnies that lost 26 of 1000 instances that are
-        20 % visible and 8 of 1000 that are half visible; this loses 9 and none.
+        adjacent cells though their overlap is small: in 64 images of bins of 10-20 bunnies, after 8 minutes of training,
+        that lost 3.5 % of the instances at least 20 % visible and 0.8 % of those half visible; this lost 0.9 and none.
         """
         scores, cells = raw.logits.flatten(1).sigmoid().topk(min(self.candidates, raw.logits[0].numel()))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
