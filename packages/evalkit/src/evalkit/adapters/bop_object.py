@@ -6,6 +6,7 @@ centroid. They become the same where the centroid is a point that all of them ke
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -169,14 +170,14 @@ def _continuous(info: dict[str, Any], where: str) -> tuple[Array, Array]:
     return axes / lengths, offsets * METRES
 
 
-def symmetry_group(rotations: Array, axes: Array, where: str = "symmetry") -> Symmetry:
+def symmetry_group(rotations: Array, axes: Array, where: str) -> Symmetry:
     """The proper group that rotations (n, 3, 3) and continuous axes (m, 3) generate.
 
     Raises:
         InputError: the rotations generate no finite group of sane size.
     """
     if len(axes) == 0:
-        return Symmetry.from_rotations(_closed(rotations, where))
+        return _finite_group(rotations, where)
     images = np.concatenate([axes, rotations @ axes[0]])
     along = np.abs(images @ axes[0])
     if (along < np.cos(SAME_TURN)).any():
@@ -186,17 +187,20 @@ def symmetry_group(rotations: Array, axes: Array, where: str = "symmetry") -> Sy
     return Symmetry.parse("revolution-flip" if flips else "revolution", frame)
 
 
-def _closed(rotations: Array, where: str) -> Array:
-    """All products of the rotations, the identity included."""
+def _finite_group(generators: Array, where: str) -> Symmetry:
+    """All products of the rotations (n, 3, 3), the identity included."""
+    generators = poses.nearest_rotation(generators)
     elements = [np.eye(3)]
     for element in elements:  # grows while it is walked
-        for generator in poses.nearest_rotation(rotations):
-            product = element @ generator
+        for product in element @ generators:
             if poses.rotation_angle(product, np.stack(elements)).min() > SAME_TURN:
                 elements.append(product)
         if len(elements) > LARGEST_GROUP:
-            raise InputError(f"{where}: the field 'symmetries_discrete' generates no finite group; mend its matrices.")
-    return np.stack(elements)
+            break
+    else:
+        with suppress(InputError):
+            return Symmetry.from_rotations(np.stack(elements))
+    raise InputError(f"{where}: the field 'symmetries_discrete' generates no finite group; mend its matrices.")
 
 
 def _kept_point(centroid: Array, discrete: Array, axes: Array, offsets: Array) -> Array:
