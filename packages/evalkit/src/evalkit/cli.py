@@ -34,7 +34,7 @@ def evaluation_options(command: Any) -> Any:
     """The options that settle the rules of an evaluation."""
     options = [
         click.option("--criterion", type=click.Choice(list(CRITERIA)), default="sym", show_default=True),
-        click.option("--protocol", type=click.Choice(PROTOCOLS), default="sileane", show_default=True),
+        click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="sileane", show_default=True),
         click.option("--min-visibility", default=0.5, show_default=True, help="Find instances at least this visible."),
         click.option(
             "--threshold",

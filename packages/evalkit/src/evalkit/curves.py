@@ -24,6 +24,7 @@ class Curve:
     score: Array  # (n,)
     precision: Array  # (n,)
     recall: Array  # (n,)
+    start_recall: float = 0.0  # of finding nothing: above 0 where images have nothing to find
 
     @property
     def average_precision(self) -> float:
@@ -45,6 +46,13 @@ class Curve:
         """Harmonic mean of precision and recall at each point (n,)."""
         total = self.precision + self.recall
         return 2.0 * self.precision * self.recall / np.where(total > 0, total, 1.0)
+
+    def cut(self, score: float) -> Curve:
+        """The points of at least this score; where there are none, that of finding nothing."""
+        kept = self.score >= score
+        if not kept.any():
+            return _nothing_predicted(self.start_recall)
+        return Curve(self.score[kept], self.precision[kept], self.recall[kept], self.start_recall)
 
     def recall_at_precision(self, precision: float) -> float:
         """The highest recall at which precision is at least this, 0 where it never is."""
@@ -95,7 +103,7 @@ class MeanSteps:
         cut, weight = _is_last(self.score), weights[self.image]
         precision = _running_sum(total, weight * self.precision_change)[cut] / total
         recall = _running_sum(start, weight * self.recall_change)[cut] / total
-        return Curve(self.score[cut], precision.astype(float), recall.astype(float))
+        return Curve(self.score[cut], precision.astype(float), recall.astype(float), float(start / total))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +136,7 @@ class PooledSteps:
 
 
 def _nothing_predicted(recall: float) -> Curve:
-    return Curve(np.array([np.inf]), np.ones(1), np.array([recall]))
+    return Curve(np.array([np.inf]), np.ones(1), np.array([recall]), recall)
 
 
 def _interpolated_per_image(crowd: Crowd, matching: Matching) -> Array:

@@ -14,8 +14,9 @@ import numpy as np
 
 from evalkit.documents import GroundTruth, Predictions
 from evalkit.errors import InputError
-from evalkit.evaluation import Settings, Subject, evalkit_version
+from evalkit.evaluation import Subject, evalkit_version
 from evalkit.matching import within
+from evalkit.rules import Settings
 
 MIN_VISIBILITY = 0.1
 DIAMETERS = tuple(float(d) for d in np.round(np.arange(1, 11) * 0.05, 2))

@@ -26,48 +26,11 @@ from evalkit.matching import (
     match_greedy,
     match_mutual,
 )
-from evalkit.objects import THRESHOLD_RATIO, ObjectModel
+from evalkit.objects import THRESHOLD_RATIO
+from evalkit.rules import Settings as Settings
 
-PROTOCOLS = ("sileane", "sileane-toolbox", "coco")
 DIAMETER_TOLERANCE = 0.01  # of the diameter: two libraries' readings of one mesh agree far better, two units never
 IMPLAUSIBLE_RATIO = 100.0  # a hypothesis this many times farther than every instance is in another unit
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The rules of an evaluation.
-
-    Attributes:
-        criterion: sym, add, adds, mssd or mspd.
-        protocol: sileane, sileane-toolbox or coco.
-        min_visibility: instances at least this visible are to be found; finding others is neither right nor wrong.
-        threshold: a pose this close is right: in object diameters, for mspd in pixels of an image 640 wide.
-        max_results: of each image only this many best hypotheses count; None for all.
-    """
-
-    criterion: str = "sym"
-    protocol: str = "sileane"
-    min_visibility: float = 0.5
-    threshold: float = CRITERIA["sym"].threshold
-    max_results: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.criterion not in CRITERIA:
-            raise InputError(f"criterion '{self.criterion}' is not known; use one of {', '.join(CRITERIA)}.")
-        if self.protocol not in PROTOCOLS:
-            raise InputError(f"protocol '{self.protocol}' is not known; use one of {', '.join(PROTOCOLS)}.")
-        if self.protocol == "sileane-toolbox" and self.criterion != "sym":
-            raise InputError("the protocol 'sileane-toolbox' knows the criterion 'sym' only; use --protocol sileane.")
-        if not (np.isfinite(self.threshold) and self.threshold > 0):
-            raise InputError(f"threshold {self.threshold:g} must be positive: object diameters, for mspd pixels.")
-        if not -1.0 <= self.min_visibility <= 1.0:
-            raise InputError(f"min-visibility {self.min_visibility:g} must be at most 1 (and 0 or less finds all).")
-        if self.max_results is not None and self.max_results < 1:
-            raise InputError(f"max-results {self.max_results} must be 1 or more.")
-
-    def limit(self, model: ObjectModel) -> float:
-        """The threshold in metres, for mspd in pixels."""
-        return CRITERIA[self.criterion].limit(self.threshold, model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +127,8 @@ class Result:
 
     def at_confidence(self, score: float) -> tuple[float, float, float]:
         """Precision, recall and F1 of the hypotheses with at least this score."""
-        point = int(np.searchsorted(-self.curve.score, -score, side="right")) - 1
-        if point < 0:
-            return 1.0, float(self.curve.recall[0]) if np.isinf(self.curve.score[0]) else 0.0, 0.0
-        return float(self.curve.precision[point]), float(self.curve.recall[point]), float(self.curve.f1[point])
+        curve = self.curve.cut(score)
+        return float(curve.precision[-1]), float(curve.recall[-1]), float(curve.f1[-1])
 
     @property
     def protocol(self) -> str:
@@ -294,7 +255,7 @@ class Subject:
             settings=settings,
             object_name=self.truth.object.name,
             symmetry=self.truth.object.symmetry.name,
-            rules=describe(settings, self.truth.object),
+            rules=settings.describe(self.truth.object),
             limit=settings.limit(self.truth.object),
             steps=steps,
             image_ap=image_ap,
@@ -348,26 +309,6 @@ def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:
 
 def _reach(pose: NDArray[np.float64]) -> float:
     return float(np.abs(pose[:, :3, 3]).max(initial=0.0))
-
-
-def describe(settings: Settings, model: ObjectModel) -> str:
-    """The rules in words, figures included."""
-    rules = {
-        "sileane": "right where hypothesis and instance are each other's nearest, duplicates are wrong; "
-        "precision and recall are means over images at each score, an image without predictions has none; "
-        "AP is the area under the steps (Brégier et al. 2017)",
-        "sileane-toolbox": "as the authors' toolbox: [vec(R Λ g); t] of the poses as given, images without predictions "
-        "are skipped; right where hypothesis and instance are each other's nearest; precision and recall are means "
-        "over images at each score; AP is the area under the steps (Brégier et al. 2017)",
-        "coco": "by falling score each hypothesis takes the nearest free instance; one curve over all images' "
-        "hypotheses; AP is the mean of the interpolated precision at 101 recalls",
-    }[settings.protocol]
-    best = "" if settings.max_results is None else f" The best {settings.max_results} of an image count."
-    return (
-        f"{CRITERIA[settings.criterion].describe(settings.threshold, model)}; symmetry {model.symmetry.name}. "
-        f"Instances at least {100 * settings.min_visibility:g} % visible are to be found, matches of others are "
-        f"ignored.{best} Protocol {settings.protocol}: {rules}."
-    )
 
 
 def evalkit_version() -> str:
