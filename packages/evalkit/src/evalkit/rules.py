@@ -11,12 +11,12 @@ from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 
 PROTOCOLS = {
-    "sileane": "right where hypothesis and instance are each other's nearest, duplicates are wrong; precision and recall "
-    "are means over images at each score, an image without predictions has none; AP is the area under the steps "
+    "sileane": "right where hypothesis and instance are each other's nearest, duplicates are wrong; precision and "
+    "recall are means over images at each score, an image without predictions has none; AP is the area under the steps "
     "(Brégier et al. 2017)",
     "sileane-toolbox": "as the authors' toolbox: [vec(R Λ g); t] of the poses as given, images without predictions are "
-    "skipped; right where hypothesis and instance are each other's nearest, duplicates are wrong; precision and recall "
-    "are means over images at each score; AP is the area under the steps (Brégier et al. 2017)",
+    "skipped; right where hypothesis and instance are each other's nearest, duplicates are wrong; precision and "
+    "recall are means over images at each score; AP is the area under the steps (Brégier et al. 2017)",
     "coco": "by falling score each hypothesis takes the nearest free instance; one curve over all images' hypotheses; "
     "AP is the mean of the interpolated precision at 101 recalls",
 }
