@@ -26,7 +26,8 @@ SYNTAX = "--visibility depth (estimated from the depth images), full (all of eve
 TOLERANCE = 0.015  # metres
 POINTS_PER_PIXEL = 10
 MOST_POINTS = 1_000_000
-LARGEST_SIDE = 20_000  # pixels of a silhouette; one beyond is too near the camera to be drawn
+CLOSEST = 0.1  # metres
+LARGEST_SIDE = 4000  # pixels of a silhouette; a larger one is too near the camera to be drawn
 
 
 class Visibility:
@@ -88,11 +89,14 @@ def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj
 
 def _draw(model: ObjectModel, camera: Camera, cam_from_obj: Array) -> tuple[int, NDArray[np.int64], Array]:
     """Pixels of the whole silhouette, and those within the frame as flat indices with their depth."""
-    points = poses.apply(cam_from_obj, _dense_points(model, camera, float(cam_from_obj[2, 3])))
-    points = points[points[:, 2] > 0]
+    distance = float(cam_from_obj[2, 3])
+    too_near = f"--visibility depth: an instance {distance:.3g} m in front of the camera is too near to be drawn."
+    if distance <= 0:
+        raise InputError(too_near)
+    points = poses.apply(cam_from_obj, _dense_points(model, camera, distance))
     u, v = np.round(camera.project(points)).T
-    if len(points) == 0 or max(np.ptp(u), np.ptp(v)) > LARGEST_SIDE:
-        raise InputError(f"an instance at t = {cam_from_obj[:3, 3].tolist()} m is at or behind the camera.")
+    if points[:, 2].min() <= 0 or max(np.ptp(u), np.ptp(v)) > LARGEST_SIDE:
+        raise InputError(too_near)
     width = int(np.ptp(u)) + 1
     front = np.full((int(np.ptp(v)) + 1) * width, np.inf)
     np.minimum.at(front, ((v - v.min()) * width + u - u.min()).astype(np.int64), points[:, 2])
@@ -106,7 +110,7 @@ def _draw(model: ObjectModel, camera: Camera, cam_from_obj: Array) -> tuple[int,
 def _dense_points(model: ObjectModel, camera: Camera, distance: float) -> Array:
     if model.vertices is None or model.faces is None:
         raise InputError("--visibility depth: the object's surface is needed; give its --mesh and --units.")
-    area = surface_moments(model.vertices, model.faces)[0] * camera.fx * camera.fy / max(distance, 0.05) ** 2
+    area = surface_moments(model.vertices, model.faces)[0] * camera.fx * camera.fy / max(distance, CLOSEST) ** 2
     return sample_surface(model.vertices, model.faces, int(np.clip(POINTS_PER_PIXEL * area, 1000, MOST_POINTS)))
 
 
