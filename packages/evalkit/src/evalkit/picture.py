@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,24 +36,28 @@ WORDS_WIDTH = 68  # characters beside the images
 class Confident:
     """The hypotheses with at least the score of the best F1, evaluated: those that a robot would act on."""
 
-    truths: dict[str, GroundTruthImage]
-    hypotheses: dict[str, PredictionImage]
-    outcomes: dict[str, ImageOutcome]
-    counts: dict[str, int]
+    predictions: Predictions
+    truth: GroundTruth
+    result: Result
     score: float
 
     @classmethod
     def cut(cls, predictions: Predictions, truth: GroundTruth, result: Result) -> Confident:
         score = float(result.curve.score[int(result.curve.f1.argmax())])
         kept = replace(predictions, images=[_at_least(image, score) for image in predictions.images])
-        again = average_precision(kept, truth, **vars(result.settings))
-        return cls(
-            truths={image.id: image for image in truth.images},
-            hypotheses={image.id: image for image in kept.images},
-            outcomes={outcome.id: outcome for outcome in again.images()},
-            counts=again.counts,
-            score=score,
-        )
+        return cls(kept, truth, average_precision(kept, truth, **vars(result.settings)), score)
+
+    @cached_property
+    def truths(self) -> dict[str, GroundTruthImage]:
+        return {image.id: image for image in self.truth.images}
+
+    @cached_property
+    def hypotheses(self) -> dict[str, PredictionImage]:
+        return {image.id: image for image in self.predictions.images}
+
+    @cached_property
+    def outcomes(self) -> dict[str, ImageOutcome]:
+        return {outcome.id: outcome for outcome in self.result.images()}
 
     def draw(self, view: View, model: ObjectModel, name: str) -> Image:
         return draw_outcome(view, model, self.truths[name], self.hypotheses.get(name), self.outcomes[name])
@@ -78,14 +83,14 @@ def save_picture(
     result = average_precision(predictions, truth, **rules)
     confident = Confident.cut(predictions, truth, result)
     dataset = ShardDataset(shards)
-    frames = _frames_by_id(dataset)
-    chosen = list(image_ids) or _spread([name for name in result.image_ids if name in frames], count)
+    frames = frames_by_id(dataset)
+    chosen = list(image_ids) or spread([name for name in result.image_ids if name in frames], count)
     unknown = next((name for name in chosen if name not in frames or name not in result.image_ids), None)
     if unknown is not None or not chosen:
         raise InputError(
             f"{shards}: image '{unknown or result.image_ids[0]}' must be both there and in {truth.source}."
         )
-    model = replace(truth.object, vertices=dataset.header.object.vertices, faces=dataset.header.object.faces)
+    model = with_mesh_of(dataset, truth.object)
     panels = [confident.draw(dataset[frames[name]], model, name) for name in chosen]
     _compose(path, dict(zip(chosen, panels, strict=True)), confident, result)
     return result
@@ -106,13 +111,19 @@ def draw_outcome(
     return picture
 
 
-def _frames_by_id(dataset: ShardDataset) -> dict[str, int]:
+def frames_by_id(dataset: ShardDataset) -> dict[str, int]:
+    """Which frame of the dataset is the image of that id."""
     readers = [dataset.reader(shard) for shard in range(len(dataset.paths))]
     names = [reader.image_id(frame) for reader in readers for frame in range(len(reader))]
     return {name: index for index, name in enumerate(names)}
 
 
-def _spread(names: list[str], count: int) -> list[str]:
+def with_mesh_of(dataset: ShardDataset, model: ObjectModel) -> ObjectModel:
+    """The object of a gt.json with the mesh that only the shards hold."""
+    return replace(model, vertices=dataset.header.object.vertices, faces=dataset.header.object.faces)
+
+
+def spread(names: list[str], count: int) -> list[str]:
     """`count` names from all over the list, in order."""
     rows = np.linspace(0, len(names) - 1, min(count, len(names))).round().astype(int)
     return [names[row] for row in rows]
@@ -127,7 +138,7 @@ def _compose(path: Path | str, panels: dict[str, Image], confident: Confident, r
         axes.axis("off")
     for axes, (name, picture) in zip(grid.flat, panels.items(), strict=False):
         axes.imshow(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
-        axes.set_title(name, fontsize=9, loc="left", color=INK)
+        axes.set_title(name, fontsize=9, loc="left", color=INK, parse_math=False)
     handles = [
         Patch(facecolor=[c / 255 for c in color[::-1]], edgecolor=INK, linewidth=0.6, label=label)
         for label, color in LEGEND
@@ -136,12 +147,13 @@ def _compose(path: Path | str, panels: dict[str, Image], confident: Confident, r
     curve, words = right.subplots(2, 1, height_ratios=[1.0, 0.5])
     draw_precision_recall(curve, result)
     words.axis("off")
-    words.text(0, 1, _words(result, confident), va="top", fontsize=9, color=INK, linespacing=1.35, in_layout=False)
+    style = {"va": "top", "fontsize": 9, "color": INK, "linespacing": 1.35, "in_layout": False, "parse_math": False}
+    words.text(0, 1, _words(result, confident), **style)
     save(figure, path)
 
 
 def _words(result: Result, confident: Confident) -> str:
-    counts, drawn = result.counts, confident.counts
+    counts, drawn = result.counts, confident.result.counts
     paragraphs = (
         f"{result.object_name}: {counts['images']} images, {counts['instances_to_find']} of {counts['instances']} "
         f"instances to find, {counts['hypotheses']} hypotheses. Drawn are those with a score of at least "

@@ -31,19 +31,28 @@ def draw_precision_recall(axes: Axes, result: Result) -> None:
     axes.text(0.03, 0.05, _figures(result), transform=axes.transAxes, color=INK, linespacing=1.4)
     axes.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
     axes.set_title(title(result), loc="left", color=INK)
-    axes.grid(color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
 
 
 def title(result: Result) -> str:
     """One line: the figure and the rules it follows."""
-    settings, criterion = result.settings, CRITERIA[result.settings.criterion]
-    unit = "px" if criterion.in_pixels else "d"
+    settings = result.settings
     return (
-        f"AP {result.ap:.3f}   {criterion.title} ≤ {settings.threshold:g} {unit}, "
+        f"AP {result.ap:.3f}   {rule(settings.criterion, settings.threshold)}, "
         f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
     )
+
+
+def rule(criterion: str, threshold: float) -> str:
+    """Such as "Sym ≤ 0.1 d": d are diameters."""
+    return f"{CRITERIA[criterion].title} ≤ {threshold:g} {'px' if CRITERIA[criterion].in_pixels else 'd'}"
+
+
+def tidy(axes: Axes) -> None:
+    """A pale grid behind the data, and no frame around it."""
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _figures(result: Result) -> str:

@@ -161,13 +161,24 @@ def to_json() -> list[dict[str, Any]]:
     return [asdict(table) for table in TABLES]
 
 
+def figure(table: Table, value: float) -> str:
+    """A figure with as many decimals as the table's most exact one."""
+    decimals = max(len(f"{v:g}".partition(".")[2]) for values in table.rows.values() for v in values)
+    return f"{value:.{decimals}f}"
+
+
+def measure_sentence(table: Table) -> str:
+    return f"{table.measure[0].upper()}{table.measure[1:]}."
+
+
 def _text(table: Table) -> str:
     first = max(len(method) for method in table.rows)
-    widths = [max(len(column), 5) for column in table.columns]
-    head = "  ".join([" " * first, *(c.rjust(w) for c, w in zip(table.columns, widths, strict=True))])
+    rows = {method: [figure(table, value) for value in values] for method, values in table.rows.items()}
     lines = [
-        "  ".join([method.ljust(first), *(f"{v:g}".rjust(w) for v, w in zip(values, widths, strict=True))])
-        for method, values in table.rows.items()
+        "  ".join(
+            [method.ljust(first), *(cell.rjust(max(len(c), 5)) for c, cell in zip(table.columns, cells, strict=True))]
+        )
+        for method, cells in {"": table.columns, **rows}.items()
     ]
-    notes = [f"{table.measure[0].upper()}{table.measure[1:]}.", f"On {table.images}.", f"Source: {table.source}."]
-    return "\n".join([table.title, "", head, *lines, "", *notes])
+    notes = [measure_sentence(table), f"On {table.images}.", f"Source: {table.source}."]
+    return "\n".join([table.title, "", *lines, "", *notes])

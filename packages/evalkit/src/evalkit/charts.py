@@ -1,0 +1,292 @@
+"""The figures of a report: what each shows in words, how it is drawn, and the table of numbers behind it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.atomic import write_text
+from evalkit.breakdown import CriterionAp, PoseErrors, VisibilityAp
+from evalkit.distances import CRITERIA
+from evalkit.evaluation import Result
+from evalkit.matching import DUPLICATE, FALSE, IGNORED, TRUE
+from evalkit.plots import INK, LINE, draw_precision_recall, new_figure, rule, save, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+GREEN, RED, GREY, PALE = "#2f9e44", "#d9413b", "#9aa1a9", "#b9cfe8"
+WIDTH, HEIGHT = 6.4, 4.0  # inches
+SCORE_BINS, ERROR_BINS = 40, 36
+LEAST_ROTATION, LEAST_TRANSLATION = 0.1, 0.1  # degrees and millimetres; smaller errors are shown as these
+RASTERIZED_FROM = 5000  # points; a drawing of more is smaller as pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """One figure. `rows` under `columns` are the numbers that `draw` draws."""
+
+    name: str
+    title: str
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[Any, ...]]
+    draw: Callable[[Axes], None]
+
+    def svg(self) -> bytes:
+        """The drawing alone, the same bytes each time; the title is left to the page."""
+        from matplotlib import rc_context
+
+        figure, written = self._figure(), io.BytesIO()
+        axes = figure.axes[0]
+        axes.set_title("", loc="left")
+        if len(self.rows) > RASTERIZED_FROM:
+            for artist in (*axes.lines, *axes.collections):
+                artist.set_rasterized(True)
+        with rc_context({"svg.hashsalt": self.name}):
+            figure.savefig(written, format="svg", metadata={"Date": None})
+        return written.getvalue()
+
+    def save(self, folder: Path) -> None:
+        """Write the drawing as PNG and its numbers as CSV."""
+        save(self._figure(), folder / f"{self.name}.png")
+        write_csv(folder / f"{self.name}.csv", self.columns, self.rows)
+
+    def _figure(self) -> Figure:
+        figure = new_figure(WIDTH, HEIGHT)
+        axes = figure.add_subplot()
+        axes.set_title(self.title, loc="left", color=INK)
+        self.draw(axes)
+        return figure
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:
+    """Write a table with one line of headings; None becomes an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def precision_recall(result: Result) -> Chart:
+    curve = result.curve
+    columns = (curve.score, curve.precision, curve.recall, curve.f1)
+    return Chart(
+        name="precision_recall",
+        title="Precision and recall",
+        caption="As the least score is lowered, more is found and more of it is false. "
+        + (
+            "AP is the mean of the best precision at 101 recalls or beyond."
+            if result.settings.protocol == "coco"
+            else "The area under the steps is AP."
+        )
+        + " The dot is the best F1.",
+        columns=("score", "precision", "recall", "f1"),
+        rows=list(zip(*(column.tolist() for column in columns), strict=True)),
+        draw=lambda axes: draw_precision_recall(axes, result),
+    )
+
+
+def score_histogram(result: Result, score: float) -> Chart:
+    """`score`: from which on hypotheses are acted on."""
+    kinds = {"true": (TRUE,), "ignored": (IGNORED,), "false": (FALSE, DUPLICATE)}
+    edges = _score_edges(result.crowd.score)
+    outcome = result.matching.outcome
+    counts = {name: np.histogram(result.crowd.score[np.isin(outcome, kind)], edges)[0] for name, kind in kinds.items()}
+
+    def draw(axes: Axes) -> None:
+        for (name, count), color in zip(counts.items(), (GREEN, GREY, RED), strict=True):
+            if count.any():
+                axes.stairs(count, edges, fill=True, color=color, alpha=0.25)
+                axes.stairs(count, edges, color=color, linewidth=1.6, label=f"{name} ({count.sum()})")
+        _log_counts(axes, max(count.max() for count in counts.values()), "no hypotheses")
+        if np.isfinite(score):
+            axes.axvline(score, color=INK, linestyle="--", linewidth=1.2)
+        axes.set(xlabel="score", ylabel="hypotheses")
+
+    return Chart(
+        name="scores",
+        title="Scores of true and false hypotheses",
+        caption="The less green and red overlap, the more the score can be trusted. Dashed: the best F1. "
+        "Counts are on a logarithmic scale.",
+        columns=("low", "high", *counts),
+        rows=_binned(edges, *counts.values()),
+        draw=draw,
+    )
+
+
+def ap_by_threshold(ladder: list[tuple[float, float]], result: Result) -> Chart:
+    settings = result.settings
+    thresholds, aps = np.array(ladder).T
+    unit = "px of an image 640 px wide" if CRITERIA[settings.criterion].in_pixels else "object diameters"
+    title = CRITERIA[settings.criterion].title
+
+    def draw(axes: Axes) -> None:
+        axes.plot(thresholds, aps, color=LINE, linewidth=1.8, marker="o", markersize=3.5)
+        axes.plot(settings.threshold, result.ap, "o", color=LINE, markersize=9, markeredgecolor="white")
+        axes.set(xscale="log", ylim=(-0.02, 1.04), xlabel=f"{title} threshold, {unit}", ylabel="AP")
+        _plain_ticks(axes, thresholds)
+        tidy(axes)
+
+    return Chart(
+        name="ap_by_threshold",
+        title="AP by threshold",
+        caption="How close a pose must be to count as true. The large dot is this evaluation's own threshold.",
+        columns=("threshold", "ap"),
+        rows=ladder,
+        draw=draw,
+    )
+
+
+def ap_by_criterion(found: list[CriterionAp]) -> Chart:
+    known = [entry for entry in found if entry.ap is not None]
+    absent = " ".join(f"No {CRITERIA[entry.criterion].title}: {entry.reason}" for entry in found if entry.ap is None)
+
+    def draw(axes: Axes) -> None:
+        values = [entry.ap or 0.0 for entry in known]
+        labels = [rule(entry.criterion, entry.threshold) for entry in known]
+        axes.barh(labels, values, color=LINE, height=0.6)
+        for row, value in enumerate(values):
+            axes.text(value + 0.01, row, f"{value:.3f}", va="center", color=INK)
+        axes.set(xlim=(0, 1.12), xticks=np.linspace(0, 1, 6), xlabel="AP")
+        axes.invert_yaxis()
+        tidy(axes)
+        axes.grid(axis="y", visible=False)
+
+    return Chart(
+        name="ap_by_criterion",
+        title="AP by criterion",
+        caption="The same poses by other distances, each at its own threshold (d: diameters, px: pixels of an image "
+        f"640 px wide). AP of one criterion says nothing against AP of another. {absent}".strip(),
+        columns=("criterion", "threshold", "ap"),
+        rows=[(entry.criterion, entry.threshold, entry.ap) for entry in found],
+        draw=draw,
+    )
+
+
+def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
+    known = [entry for entry in bins if entry.instances]
+
+    def draw(axes: Axes) -> None:
+        centers = [50 * (entry.low + entry.high) for entry in known]
+        colors = [LINE if entry.low >= min_visibility - 1e-9 else PALE for entry in known]
+        axes.bar(centers, [entry.ap for entry in known], width=8.4, color=colors, label="AP")
+        axes.plot(centers, [entry.recall for entry in known], "D", color=INK, markersize=5, label="share found")
+        for center, entry in zip(centers, known, strict=True):
+            axes.text(center, 1.04, str(entry.instances), ha="center", fontsize=8, color=INK)
+        axes.set(xlim=(0, 100), ylim=(0, 1.12), xticks=range(0, 101, 10), yticks=np.linspace(0, 1, 6))
+        axes.set(xlabel="visible share of the instance, %", ylabel="AP, share found")
+        tidy(axes)
+        _legend(axes, "no instances", loc="lower right", framealpha=0.9)
+
+    return Chart(
+        name="ap_by_visibility",
+        title="AP by visibility",
+        caption="Only the instances of a bin (numbers on top) are asked for, in the images that show one; a hypothesis "
+        "on any other is ignored, but a false one counts in every bin. Diamonds: share of the instances found by some "
+        f"hypothesis. Pale: below the {min_visibility:.0%} from which on this evaluation asks for instances.",
+        columns=("low", "high", "instances", "ap", "found"),
+        rows=[(entry.low, entry.high, entry.instances, entry.ap, entry.recall) for entry in bins],
+        draw=draw,
+    )
+
+
+def rotation_errors(errors: PoseErrors) -> Chart:
+    return _error_histogram("rotation", "degrees", np.degrees(errors.rotation), LEAST_ROTATION, 180.0, errors)
+
+
+def translation_errors(errors: PoseErrors, diameter: float) -> Chart:
+    reach = max(500.0 * diameter, 10 * LEAST_TRANSLATION)
+    return _error_histogram("translation", "mm", 1000.0 * errors.translation, LEAST_TRANSLATION, reach, errors)
+
+
+def _error_histogram(kind: str, unit: str, error: Array, least: float, most: float, errors: PoseErrors) -> Chart:
+    edges = np.geomspace(least, most, ERROR_BINS + 1)
+    shown = np.clip(error, least, most)
+    counts = {
+        "true": np.histogram(shown[errors.right], edges)[0],
+        "too far off": np.histogram(shown[~errors.right], edges)[0],
+    }
+
+    def draw(axes: Axes) -> None:
+        below = np.zeros(ERROR_BINS)
+        for (name, count), color in zip(counts.items(), (GREEN, RED), strict=True):
+            if count.any():
+                axes.stairs(
+                    below + count, edges, baseline=below, fill=True, color=color, label=f"{name} ({count.sum()})"
+                )
+            below = below + count
+        axes.set(xscale="log", xlim=(least, most), xlabel=f"{kind} error, {unit}", ylabel="instances")
+        _plain_ticks(axes, _decades(least, most))
+        tidy(axes)
+        _legend(axes, "no hypothesis is near an instance")
+
+    return Chart(
+        name=f"{kind}_errors",
+        title=f"{kind.capitalize()} error",
+        caption=_spread_in_words(error[errors.right], unit) + f" Of {errors.instances} instances to find, {len(error)} "
+        "have a nearest hypothesis within half a diameter, at the score of the best F1 or above.",
+        columns=("low", "high", *(name.replace(" ", "_") for name in counts)),
+        rows=_binned(edges, *counts.values()),
+        draw=draw,
+    )
+
+
+def _spread_in_words(error: Array, unit: str) -> str:
+    if not len(error):
+        return "No pose is true."
+    half, most = np.quantile(error, [0.5, 0.9])
+    sign = "°" if unit == "degrees" else f" {unit}"
+    return f"True poses: half are within {half:.2g}{sign}, 90 % within {most:.2g}{sign}."
+
+
+def _score_edges(score: Array) -> Array:
+    low, high = (score.min(), score.max()) if len(score) else (0.0, 1.0)
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    share = np.linspace(0.0, 1.0, SCORE_BINS + 1)
+    return np.asarray(low * (1.0 - share) + high * share)
+
+
+def _binned(edges: Array, *counts: NDArray[np.int64]) -> list[tuple[Any, ...]]:
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), *(count.tolist() for count in counts), strict=True))
+
+
+def _log_counts(axes: Axes, most: int, otherwise: str) -> None:
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_ylim(0, 2.0 * max(most, 5))
+    ticks = [10**power for power in range(int(np.log10(max(most, 5))) + 1)]
+    axes.set_yticks([0, *ticks], ["0", *map(str, ticks)])
+    tidy(axes)
+    _legend(axes, otherwise)
+
+
+def _legend(axes: Axes, otherwise: str, **options: Any) -> None:
+    """The legend, or words where nothing was drawn."""
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(**{"frameon": False, **options})
+    else:
+        axes.text(0.5, 0.5, otherwise, transform=axes.transAxes, ha="center", va="center", color=INK)
+
+
+def _decades(least: float, most: float) -> Array:
+    """1, 2 and 5 times the powers of ten from least to most."""
+    steps = np.multiply.outer(10.0 ** np.arange(-3, 7), [1.0, 2.0, 5.0]).ravel()
+    return np.asarray(steps[(steps >= least * 0.999) & (steps <= most * 1.001)])
+
+
+def _plain_ticks(axes: Axes, values: Array) -> None:
+    """Numbers as people write them, at 1, 2 and 5, on a logarithmic axis."""
+    ticks = _decades(values.min(), values.max())
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
