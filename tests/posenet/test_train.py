@@ -12,12 +12,13 @@ import pytest
 import torch
 
 from evalkit.errors import InputError
-from posenet import train
+from posenet import trainer
 from posenet.config import Config, preset, with_options
 from posenet.dataset import Frames
 from posenet.model_file import load_model
 from posenet.schedule import Budget, learning_rate_factor
-from posenet.train import FitOptions, Trainer, fit
+from posenet.train import FitOptions, fit
+from posenet.trainer import Trainer
 from posenet.validation import validate
 
 
@@ -116,14 +117,14 @@ def test_another_run_in_the_same_folder_is_refused(debug_shards: Path, tmp_path:
 def test_a_nan_loss_stops_with_a_sentence_and_keeps_the_checkpoint(
     debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = train.losses.total
+    real = trainer.losses.total
 
     def poisoned(found: dict[str, torch.Tensor], config: object) -> torch.Tensor:
         return real(found, config) * math.nan  # type: ignore[arg-type]
 
     fit(options(debug_shards, tmp_path / "run", epochs=1))
     kept = (tmp_path / "run" / "checkpoint.pt").read_bytes()
-    monkeypatch.setattr(train.losses, "total", poisoned)
+    monkeypatch.setattr(trainer.losses, "total", poisoned)
     with pytest.raises(InputError, match="NaN at step"):
         fit(options(debug_shards, tmp_path / "other", epochs=1))
     assert (tmp_path / "run" / "checkpoint.pt").read_bytes() == kept

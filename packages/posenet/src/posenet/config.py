@@ -12,6 +12,9 @@ from typing import Any, Literal, get_args
 
 from evalkit.errors import InputError
 
+TASKS = ("offset", "depth", "rotation")
+SCHEDULES = ("one-cycle", "cosine", "constant")
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -59,6 +62,7 @@ class LossConfig:
     angle_sigma: float = 0.6  # bins; 0: one-hot labels
     depth_sigma: float = 1.2  # bins; 0: one-hot labels
     registration_weights: Literal["paper", "balanced"] = "balanced"
+    tasks: tuple[str, ...] = TASKS  # heads that learn; the losses of the others are off
 
 
 @dataclass(frozen=True)
@@ -70,8 +74,9 @@ class TrainConfig:
     optimizer: Literal["adam", "adamw"] = "adamw"
     learning_rate: float = 1e-3
     weight_decay: float = 1e-2
-    schedule: Literal["one-cycle", "constant"] = "one-cycle"
-    warmup: float = 0.08  # share of the run until the peak of the one-cycle
+    schedule: Literal["one-cycle", "cosine", "constant"] = "one-cycle"
+    warmup: float = 0.08  # share of the run until the peak of one-cycle and constant; cosine begins at its peak
+    ema: float = 0.0  # decay of the moving average of the weights that is validated and kept; 0: none
     clip_gradient: float = 20.0
     min_visibility: float = 0.2  # instances seen less than this do not train
     box_jitter: float = 0.08  # of a box's side, uniform
@@ -199,6 +204,9 @@ def with_options(config: Config, section: str, **options: Any) -> Config:
     """
     chosen = {key: value for key, value in options.items() if value is not None}
     part = getattr(config, section)
+    unknown = sorted(set(chosen.get("tasks", ())) - set(TASKS))
+    if unknown:
+        raise InputError(f"option tasks: '{', '.join(unknown)}' is none of {', '.join(TASKS)}.")
     hints = {f.name: f for f in dataclasses.fields(part)}
     for key, value in chosen.items():
         allowed = get_args(_literal(type(part), hints[key].name))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from posenet.config import LossConfig
+from posenet.config import TASKS, LossConfig
 from posenet.pose_codec import PoseCodec, PoseLabels
 from posenet.pose_heads import PoseOutputs
 from posenet.sym_distance import SymDistance
@@ -54,8 +54,11 @@ def offset_loss(predicted: Tensor, target: Tensor, norm: str) -> Tensor:
 
 
 def weight_of(name: str, config: LossConfig) -> float:
-    """The weight of a loss by its name; the parts of one task share that of the task."""
+    """The weight of a loss by its name; the parts of one task share that of the task, 0 where the task is off."""
     task = name.split("_")[0]
+    head = "rotation" if task == "angle" else task
+    if head in TASKS and head not in config.tasks:
+        return 0.0
     return {
         "offset": config.offset,
         "depth": config.depth,

@@ -48,8 +48,7 @@ def save_model(path: Path | str, network: PoseNetwork, record: dict[str, Any]) -
     if model.vertices is not None and model.faces is not None:
         document["vertices"] = torch.from_numpy(model.vertices.astype("float32"))
         document["faces"] = torch.from_numpy(model.faces.astype("int32"))
-    with atomic_path(path) as temporary:
-        torch.save(document, temporary)
+    write_torch_file(path, document)
 
 
 def load_model(source: Path | str, device: str | torch.device = "cpu") -> TrainedModel:
@@ -91,6 +90,22 @@ def read_torch_file(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds no dictionary, so it is not a file of posenet's.")
     return document
+
+
+def write_torch_file(path: Path | str, document: dict[str, Any]) -> None:
+    """Write atomically what :func:`read_torch_file` reads.
+
+    Raises:
+        OSError: the disk is full or the folder cannot be written; what stood there before still does.
+    """
+    try:
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            torch.save(document, file)
+    except RuntimeError as error:
+        # torch.save hides what the file system said behind an error of its own.
+        if isinstance(error.__context__, OSError):
+            raise OSError(error.__context__.errno, error.__context__.strerror, str(path)) from None
+        raise
 
 
 def _rebuild(document: dict[str, Any], path: Path) -> PoseNetwork:

@@ -1,32 +1,34 @@
-"""A run's folder: what a run is, where it stands, and its best model.
+"""A run's folder: what a run is, where it stands, and its models.
 
 ::
 
-    run.json        preset, options, seed, data and its hash, software: a run is resumed only by the same command
+    run.json        preset, options, seed, data and its hashes: a run is resumed only by the same command;
+                    and how it was made: the command, the folder it was typed in, commit and versions
     checkpoint.pt   last state: weights, optimisers, random state, progress
     model.pt        best model so far by validation AP (the last one without validation)
+    last.pt         the model at the last validation, or at the end
     metrics.jsonl   one line a validation
-    events.*        TensorBoard
+    losses.jsonl    one line every few steps: mean losses
+    curves.png      both, drawn
+    events.*        TensorBoard: the same, and predictions on a validation image
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
+import tempfile
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from evalkit.atomic import atomic_path, write_json
+from evalkit.atomic import write_json, write_text
 from evalkit.errors import InputError
-from evalkit.shards import USER_BLOCK, ShardDataset
-from posenet.model_file import MODEL_FILE, read_torch_file
+from posenet.config import Config
+from posenet.curves import draw_curves
+from posenet.model_file import MODEL_FILE, read_torch_file, write_torch_file
 
 RUN_FORMAT = "binpose-run/1"
+Rows = list[dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -40,53 +42,74 @@ class RunFolder:
         return self.path / MODEL_FILE
 
     @property
+    def last(self) -> Path:
+        return self.path / "last.pt"
+
+    @property
     def checkpoint(self) -> Path:
         return self.path / "checkpoint.pt"
 
-    def claim(self, identity: dict[str, Any]) -> bool:
+    def claim(self, identity: dict[str, Any], made_by: dict[str, Any]) -> bool:
         """Make the folder this run's own; True if a checkpoint of the same run is there to go on from.
+
+        Args:
+            identity: what must be the same for a run to be resumed. made_by: what is noted beside it.
 
         Raises:
             InputError: the folder holds another run.
+            OSError: it cannot be written.
         """
         file = self.path / "run.json"
         if not file.exists():
-            write_json(file, {"format": RUN_FORMAT, **identity}, indent=1)
+            write_json(file, {"format": RUN_FORMAT, **identity, "made_by": made_by}, indent=1)
             return False
-        try:
-            known = json.loads(file.read_text(encoding="utf-8"))
-        except (UnicodeDecodeError, json.JSONDecodeError):
-            raise InputError(f"{file}: not a readable run file; remove the folder or choose another with -o.") from None
-        different = [key for key in identity if known.get(key) != json.loads(json.dumps(identity[key]))]
-        different = [key for key in different if key != "software"]
+        known, wanted = _comparable(self._read(file)), _comparable(json.loads(json.dumps(identity)))
+        different = [key for key in wanted if known.get(key) != wanted[key]]
         if different:
             raise InputError(
                 f"{self.path}: holds a run that differs in {', '.join(different)}; give the same options to resume it, "
                 "or another folder with -o."
             )
+        self._require_writable()
+        self._remove_leftovers()
         return self.checkpoint.exists()
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
-        with atomic_path(self.checkpoint) as temporary:
-            torch.save(state, temporary)
+        write_torch_file(self.checkpoint, state)
 
     def load_checkpoint(self) -> dict[str, Any]:
         return read_torch_file(self.checkpoint)
 
-    def log_metrics(self, metrics: dict[str, Any]) -> None:
-        with open(self.path / "metrics.jsonl", "a", encoding="utf-8") as file:
-            file.write(json.dumps(metrics) + "\n")
+    def write_progress(self, history: Rows, validations: Rows) -> None:
+        """Losses and validations so far, as lines and as curves."""
+        write_text(self.path / "losses.jsonl", _lines(history))
+        write_text(self.path / "metrics.jsonl", _lines(validations))
+        draw_curves(self.path / "curves.png", history, validations, self.path.name)
+
+    def _read(self, file: Path) -> dict[str, Any]:
+        try:
+            return dict(json.loads(file.read_text(encoding="utf-8")))
+        except (UnicodeDecodeError, TypeError, ValueError):
+            raise InputError(f"{file}: not a readable run file; remove the folder or choose another with -o.") from None
+
+    def _remove_leftovers(self) -> None:
+        """Half-written files of a run that was killed while it wrote."""
+        for leftover in self.path.glob(".*.tmp"):
+            leftover.unlink(missing_ok=True)
+
+    def _require_writable(self) -> None:
+        try:
+            tempfile.TemporaryFile(dir=self.path).close()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
 
 
-def software_versions() -> dict[str, str]:
-    packages = ("binpose-posenet", "binpose-evalkit", "torch", "lightning-fabric", "numpy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+def _comparable(document: dict[str, Any]) -> dict[str, Any]:
+    """Without what an update of posenet may add: options at their defaults, and hashes beside the one of all data."""
+    config = Config.from_json(document.get("config"), "run.json: config").to_json()
+    data = document.get("data", {})
+    return {**document, "config": json.loads(json.dumps(config)), "data": data.get("sha256")}
 
 
-def data_hash(dataset: ShardDataset) -> str:
-    """A hash of the shards' own checksums, which stand in their first bytes: cheap, and changes with any byte."""
-    digest = hashlib.sha256()
-    for path in dataset.paths:
-        with open(path, "rb") as file:
-            digest.update(file.read(USER_BLOCK))
-    return digest.hexdigest()
+def _lines(rows: Rows) -> str:
+    return "".join(json.dumps(row) + "\n" for row in rows)

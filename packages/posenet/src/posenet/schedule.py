@@ -28,9 +28,18 @@ class Budget:
 
 
 def learning_rate_factor(progress: float, schedule: str, warmup: float) -> float:
-    """The share of the peak learning rate at `progress`: linear up, then cosine down (one-cycle) or constant."""
+    """The share of the peak learning rate at `progress`.
+
+    `one-cycle` rises linearly and falls as a cosine, `cosine` only falls, `constant` only rises.
+    """
+    if schedule == "cosine":
+        return _falling(progress)
     if progress < warmup:
         return 0.04 + 0.96 * progress / warmup
     if schedule == "constant":
         return 1.0
-    return 0.5 * (1.0 + math.cos(math.pi * (progress - warmup) / (1.0 - warmup))) + 1e-4
+    return _falling((progress - warmup) / (1.0 - warmup))
+
+
+def _falling(share: float) -> float:
+    return 0.5 * (1.0 + math.cos(math.pi * share)) + 1e-4
