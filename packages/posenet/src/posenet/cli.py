@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
 from evalkit.command import Commands
-from posenet.config import PRESETS, Config, preset, with_options
+from posenet.config import PRESETS, SCHEDULES, TASKS, Config, preset, with_options
 
 
 @click.group(cls=Commands)
@@ -28,12 +30,19 @@ def main() -> None:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Peak learning rate.")
 @click.option("--batch-images", type=click.IntRange(min=1), help="Images a step.")
+@click.option("--schedule", type=click.Choice(SCHEDULES), default=None, help="How the learning rate goes.")
+@click.option("--ema", type=click.FloatRange(0, 1, max_open=True), help="Keep the weights' moving average, e.g. 0.999.")
+@click.option(
+    "--backbone-weights", type=click.Path(path_type=Path), help="ImageNet's VGG16 (torchvision's file), --preset paper."
+)
+@click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
 @click.option("--validation/--no-validation", default=True, help="Hold scenes out and keep the best model by their AP.")
 @click.option("--offset/--no-offset", default=None, help="Without: the box centre stands in for the centre.")
 @click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
 @click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
 @click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
+@click.option("--tasks", help=f"Heads that learn; the others' losses are off.  [default: {','.join(TASKS)}]")
 def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options: Any) -> None:
     """Train a network on SHARDS: a folder that `simgen build` wrote, or shard files.
 
@@ -57,6 +66,9 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
             device=options["device"],
             seed=options["seed"],
             validate=options["validation"],
+            backbone_weights=options["backbone_weights"],
+            checkpoint_seconds=options["checkpoint_seconds"],
+            command=shlex.join(["posenet", *sys.argv[1:]]),
         )
     )
     click.echo(_summary(run.path))
@@ -66,8 +78,9 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     config = preset(preset_name)
     network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation")}
     config = with_options(config, "network", **network)
-    config = with_options(config, "loss", registration_weights=options["registration_weights"])
-    train = {key: options[key] for key in ("learning_rate", "batch_images")}
+    tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None
+    config = with_options(config, "loss", registration_weights=options["registration_weights"], tasks=tasks)
+    train = {key: options[key] for key in ("learning_rate", "batch_images", "schedule", "ema")}
     return with_options(config, "train", **train)
 
 
