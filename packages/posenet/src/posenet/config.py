@@ -82,6 +82,9 @@ class TrainConfig:
     box_jitter: float = 0.08  # of a box's side, uniform
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
+    scoring_rate: float = (
+        3.5  # times the learning rate: what is learnt from few, detached hypotheses needs larger steps
+    )
     scoring_start: float = 0.25  # share of the run after which they do
     validation_share: float = 0.05  # of the scenes
     validation_images: int = 48
@@ -169,6 +172,7 @@ def paper() -> Config:
             box_jitter=0.1,
             scoring_images=1,
             scoring_every=1,
+            scoring_rate=1.0,
         ),
     )
 

@@ -245,7 +245,10 @@ class PoseNetwork(nn.Module):
 
     def _ranked(self, scored: _Scored) -> ImagePoses:
         few = scored.hypotheses
-        logit = scored.logit if scored.registered is None else scored.registered
+        logit = scored.logit
+        if scored.registered is not None:
+            # A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own.
+            logit = (logit + scored.registered) / 2 if self.confidence is not None else scored.registered
         order = logit.argsort(descending=True, stable=True)
         few = few.select(order)
         return ImagePoses(few.rotation, few.center, logit[order].sigmoid(), scored.boxes[few.detection], few.detection)

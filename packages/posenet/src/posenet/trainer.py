@@ -156,7 +156,7 @@ class Trainer:
         factor = learning_rate_factor(progress, self.config.schedule, self.config.warmup)
         for optimizer in self._optimizers:
             for group in optimizer.param_groups:
-                group["lr"] = self.config.learning_rate * factor
+                group["lr"] = group["initial_lr"] * factor
             optimizer.zero_grad(set_to_none=True)
         batch = self.frames.batch(batch_frames).to(self.fabric.device)
         self.network.train()
@@ -269,8 +269,11 @@ def _optimizers(network: PoseNetwork, config: Config) -> tuple[torch.optim.Optim
     """One for the multi-task network, one for what learns on its detached features."""
     kind = torch.optim.AdamW if config.train.optimizer == "adamw" else torch.optim.Adam
 
-    def optimizer(parameters: list[torch.nn.Parameter]) -> torch.optim.Optimizer:
-        return kind(parameters, lr=config.train.learning_rate, weight_decay=config.train.weight_decay, fused=True)
+    def optimizer(parameters: list[torch.nn.Parameter], rate: float) -> torch.optim.Optimizer:
+        group = {"params": parameters, "initial_lr": rate}
+        return kind([group], lr=rate, weight_decay=config.train.weight_decay, fused=True)
 
+    rate = config.train.learning_rate
     scoring = list(network.scoring_parameters())
-    return optimizer(list(network.main_parameters())), optimizer(scoring) if scoring else None
+    main = optimizer(list(network.main_parameters()), rate)
+    return main, optimizer(scoring, rate * config.train.scoring_rate) if scoring else None
