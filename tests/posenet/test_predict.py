@@ -15,20 +15,10 @@ from evalkit.camera import Camera
 from evalkit.documents import read_predictions
 from evalkit.errors import InputError
 from evalkit.shards import ShardDataset
-from posenet.config import preset
 from posenet.images import read_depth
 from posenet.predict import Predictor
-from posenet.train import FitOptions, fit
-
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture(scope="module")
-def run_folder(debug_shards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of some steps: enough for it to detect something."""
-    out = tmp_path_factory.mktemp("run")
-    return fit(FitOptions([debug_shards], out, preset("debug"), epochs=40, device="cpu", validate=False)).path
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +41,6 @@ def test_a_batch_gives_what_single_images_give(predictor: Predictor, debug_shard
     alone = [predictor.predict(depth, dataset.header.camera) for depth in depths]
     for a, b in zip(together, alone, strict=True):
         assert abs(len(a.score) - len(b.score)) <= 5  # bf16 sums in another order near the detector's threshold
-
-
-def test_the_same_scene_in_twice_the_pixels_gives_the_same_boxes(predictor: Predictor, debug_shards: Path) -> None:
-    view = ShardDataset(debug_shards)[0]
-    doubled = cv2.resize(view.depth, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-    camera = view.camera.resized(2 * view.camera.width, 2 * view.camera.height)
-    small, large = predictor.predict(view.depth, view.camera), predictor.predict(doubled, camera)
-    assert np.abs(large.boxes[0] / 2 - small.boxes[0]).max() < 3
-    assert large.score[0] == pytest.approx(small.score[0], abs=0.1)
 
 
 def test_holes_and_nan_are_no_return(predictor: Predictor, debug_shards: Path) -> None:
@@ -95,15 +76,14 @@ def test_labels_of_the_shards_are_not_read(
     run_folder: Path, debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from evalkit.shards import ShardReader
-    from posenet.commands import predict_shards
+    from posenet.commands import predict
 
     def forbidden(*_: object) -> None:
         raise AssertionError("prediction looked at the labels")
 
     monkeypatch.setattr(ShardReader, "labels", forbidden)
     monkeypatch.setattr(ShardReader, "__getitem__", forbidden)
-    options = {"device": "cpu", "refine": False, "max_images": 2, "picture": None}
-    predict_shards(run_folder, debug_shards, tmp_path / "preds.json", options)
+    predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
     assert len(read_predictions(tmp_path / "preds.json").images) == 2
 
 
@@ -142,6 +122,29 @@ def test_one_image_on_the_command_line_gives_poses_and_a_picture(
     assert len(read_predictions(tmp_path / "preds.json").images[0].score) > 0
     picture = cv2.imread(str(tmp_path / "out.png"))
     assert picture is not None and picture.std() > 5
+
+
+def test_a_folder_of_images_gives_what_its_shards_give(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, run_command: Command
+) -> None:
+    """One command for both, with every ablation at once."""
+    dataset = ShardDataset(debug_shards)
+    folder, camera = tmp_path / "images", tmp_path / "camera.json"
+    folder.mkdir()
+    camera.write_text(json.dumps(dataset.header.camera.to_json()))
+    for view in dataset:
+        cv2.imwrite(str(folder / f"{view.image_id}.png"), view.depth_raw)
+    ablations = ("--no-registration", "--no-offset", "--hypotheses", 2)
+    described = ("--camera", camera, "--depth-unit", dataset.header.depth_unit)
+    found = []
+    for number, source in enumerate([(debug_shards,), (folder, *described)]):
+        out = tmp_path / f"{number}.json"
+        done = run_command("posenet", "predict", run_folder, *source, *ablations, "-o", out)
+        assert done.returncode == 0, done.stderr
+        found.append(read_predictions(out).images)
+    assert [image.id for image in found[0]] == [image.id for image in found[1]] == [view.image_id for view in dataset]
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a.cam_from_obj, b.cam_from_obj, atol=1e-4)
 
 
 @pytest.mark.parametrize(

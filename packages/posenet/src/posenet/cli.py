@@ -88,20 +88,30 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), default="preds.json", show_default=True)
-@click.option("--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of a depth image (JSON).")
+@click.option("--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of depth images (JSON).")
 @click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
 @click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
-@click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the shards.")
-@click.option("--device", default="auto", show_default=True)
-def predict(model: Path, source: Path, out: Path, **options: Any) -> None:
-    """Predict poses with MODEL (a model file or a run's folder) on SOURCE: shards, or one depth image."""
-    from posenet.commands import predict_image, predict_shards
-    from posenet.images import SUFFIXES
+@click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the source.")
+@click.option("--no-registration", is_flag=True, help="Ablation: score = confidence.")
+@click.option("--no-offset", is_flag=True, help="Ablation: the box centre stands in for the centre.")
+@click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+def predict(
+    model: Path, source: Path, no_registration: bool, no_offset: bool, hypotheses: int | None, **options: Any
+) -> None:
+    """Predict poses with MODEL (a model file or a run's folder) on SOURCE.
 
-    action = predict_image if source.suffix.lower() in SUFFIXES else predict_shards
-    click.echo(action(model, source, out, options))
+    SOURCE is a folder of shards or one shard; one depth image (16-bit PNG, TIFF, NPY) or a folder of them, with
+    --camera and, for whole numbers, --depth-unit; or a folder of the Siléane dataset (camera_params.txt beside
+    depth/*.png). Images are named as their files, without the suffix.
+    """
+    from posenet import commands
+    from posenet.ablation import Ablation
+
+    ablation = Ablation(not no_registration, not no_offset, hypotheses)
+    click.echo(commands.predict(model, source, ablation=ablation, **options))
 
 
 @main.command()
