@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import json
 import os
 import signal
 import subprocess
@@ -191,9 +192,16 @@ def run(*arguments: str) -> Result:
         (["--camera", "nowhere.json"], "nowhere.json does not exist"),
         (["--camera", __file__], "not a JSON file"),
         (["--compression", "lzma"], "--compression lzma"),
+        (["--camera", "aside"], "principal point (500, 29.5) lies outside the image"),
+        (["--camera", "wide"], "pixels across"),
+        (["--camera", "tele"], "too far for an object of"),
     ],
 )
 def test_bad_options_get_one_sentence_and_exit_code_2(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+    for name, focal, cx in (("aside", 70, 500), ("wide", 1, 39.5), ("tele", 1e7, 39.5)):
+        camera = Camera(80, 60, focal, focal, cx, 29.5)
+        (tmp_path / name).write_text(json.dumps(camera.to_json()))
+    arguments = [str(tmp_path / word) if (tmp_path / word).is_file() else word for word in arguments]
     result = run("-o", str(tmp_path / "out"), *arguments)
     assert result.exit_code == 2
     assert sentence in result.stderr

@@ -19,7 +19,7 @@ from simgen.physics import Body, Pile, World, center_of_mass, simulate_pile
 
 CONFIG = PhysicsConfig()
 SHAPES = {
-    "capsule": [trimesh.creation.capsule(0.04, 0.025).convex_hull],
+    "capsule": [trimesh.creation.capsule(0.04, 0.025, count=[10, 6]).convex_hull],
     "ball": [trimesh.creation.icosphere(2, 0.05)],
     "tile": [trimesh.creation.box([0.08, 0.05, 0.004])],
     "angle": [trimesh.creation.box([0.08, 0.03, 0.01]), trimesh.creation.box([0.01, 0.03, 0.06])],

@@ -49,11 +49,11 @@ def test_near_walls_leave_half_the_floor_in_sight() -> None:
 
 
 def test_turns_in_the_image_plane_are_uniform() -> None:
-    cam_from_world = draw_viewpoints(CONFIG, CAMERAS["paper"], BINS["flat"], 0.1, 0, 0, 2000)
+    cam_from_world = draw_viewpoints(CONFIG, CAMERAS["paper"], BINS["flat"], 0.1, 0, 0, 1000)
     up_in_image = cam_from_world[:, :2, 0]
     angle = np.arctan2(up_in_image[:, 1], up_in_image[:, 0])
     counts, _ = np.histogram(angle, bins=8, range=(-math.pi, math.pi))
-    assert counts.min() > 180 and counts.max() < 320
+    assert counts.min() > 85 and counts.max() < 165
 
 
 def test_a_view_depends_on_its_scene_and_number_alone() -> None:

@@ -8,17 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import io
-import multiprocessing
 import os
-import signal
-import sys
-import threading
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +30,11 @@ from evalkit.shards import (
     shard_name,
     write_dataset_file,
 )
+from simgen.local_pool import count_scene, local_pool
 from simgen.scenes import Job, SceneRenderer, simulate_scene
 from simgen.viewpoints import draw_viewpoints
 
 MAX_BROKEN_POOLS = 3
-POLL_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,7 @@ def build_shard(job: Job, folder: Path, shard: int) -> ShardReport:
             redone += attempts - 1
             for view in renderer.views(scene):
                 writer.append(view)
-            _count_scene()
+            count_scene()
     return ShardReport(shard, len(numbers), redone)
 
 
@@ -200,7 +194,7 @@ def _build_shards(job: Job, folder: Path, shards: list[int], workers: int, repor
     remaining, broken_in_a_row = set(shards), 0
     while remaining:
         try:
-            with _local_pool(min(workers, len(remaining)), bar) as executor:
+            with local_pool(min(workers, len(remaining)), bar) as executor:
                 for finished in _run(executor, job, folder, sorted(remaining)):
                     remaining.discard(finished.shard)
                     report.written.append(finished)
@@ -222,60 +216,6 @@ def _run(executor: Executor, job: Job, folder: Path, shards: list[int]) -> Itera
     futures: list[Future[ShardReport]] = [executor.submit(build_shard, job, folder, shard) for shard in shards]
     for future in as_completed(futures):
         yield future.result()
-
-
-@contextlib.contextmanager
-def _local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
-    """Worker processes that count scenes into the bar, and that end at once when this process is told to stop."""
-    context = multiprocessing.get_context("spawn")
-    counter = context.Value("q", 0)
-    executor = ProcessPoolExecutor(workers, context, _start_worker, (counter,))
-    start, stop = bar.n, threading.Event()
-    thread = threading.Thread(target=_show, args=(bar, start, counter, stop), daemon=True)
-    thread.start()
-    try:
-        yield executor
-        executor.shutdown()
-    except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-            process.join()
-        raise
-    finally:
-        stop.set()
-        thread.join()
-
-
-def _show(bar: tqdm[Any], start: int, counter: Any, stop: threading.Event) -> None:
-    while not stop.wait(POLL_SECONDS):
-        if (done := start + counter.value) > bar.n:
-            bar.update(done - bar.n)
-
-
-_scenes_done: Any = None
-
-
-def _start_worker(counter: Any) -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it: an orphan would go on writing into the folder."""
-    global _scenes_done
-    _scenes_done = counter
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sys.stderr = io.StringIO()  # errors travel as exceptions; h5py prints one more for each buffer it cannot write
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)
-
-
-def _count_scene() -> None:
-    if _scenes_done is not None:
-        with _scenes_done.get_lock():
-            _scenes_done.value += 1
 
 
 @contextlib.contextmanager

@@ -61,7 +61,10 @@ class PhysicsConfig:
 
 @dataclass(frozen=True)
 class ViewpointConfig:
-    """The cap of camera positions above the bin; distances are multiples of the one at which the bin's floor fits."""
+    """The cap of camera positions above the bin.
+
+    Distances are multiples of the one from which the bin's opening just fits the image's narrower side.
+    """
 
     max_tilt_degrees: float = 35.0
     nearest: float = 1.0

@@ -10,6 +10,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from evalkit.camera import Camera
 from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
@@ -22,7 +23,9 @@ from simgen.rasterizer import Rasterizer
 from simgen.viewpoints import distance_range, draw_viewpoints
 
 DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
-STEPS_PER_DIAMETER = 500
+STEPS_PER_DIAMETER = 500  # 0.1 mm will do for objects of 5 cm and more
+MIN_STEPS_PER_DIAMETER = 50
+MIN_PIXELS = 4
 STEPS = np.iinfo(np.uint16).max
 SOFTWARE = ("binpose-simgen", "binpose-evalkit", "pybullet", "numpy", "numba", "h5py", "hdf5plugin")
 
@@ -47,7 +50,7 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
     """Settle what depends on the object's size: the bin, where it is automatic, and the depth unit.
 
     Raises:
-        InputError: the object is larger than the bin.
+        InputError: the object is larger than the bin, or the camera cannot see it.
     """
     diameter, (vertices, _) = model.diameter, _mesh_of(model)
     size = config.bin or fitting_bin(vertices, diameter, config.instances_max)
@@ -57,19 +60,40 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
             "give a bin whose width and depth are larger, in metres, or --bin auto."
         )
     _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
+    _require_sight(config.camera, diameter, farthest)
     unit = depth_unit_for(farthest + math.sqrt(2) * ground_half_side(size), diameter)
     return Job(replace(config, bin=size), size, model, convex_parts, unit)
+
+
+def _require_sight(camera: Camera, diameter: float, farthest: float) -> None:
+    if not (0 <= camera.cx <= camera.width - 1 and 0 <= camera.cy <= camera.height - 1):
+        raise InputError(
+            f"--camera: its principal point ({camera.cx:g}, {camera.cy:g}) lies outside the image, "
+            "so that it would not see the bin that it is aimed at; give cx and cy within the image, in pixels."
+        )
+    pixels = min(camera.fx, camera.fy) * diameter / farthest
+    if pixels < MIN_PIXELS:
+        raise InputError(
+            f"--camera: the object would be only {pixels:.1f} pixels across; "
+            "give more pixels, a longer focal length in pixels, or a smaller --bin."
+        )
 
 
 def depth_unit_for(farthest: float, diameter: float) -> float:
     """Metres a step: 0.1 mm, or the power of ten that reaches `farthest` in 16 bits where 0.1 mm is too fine or coarse.
 
     Raises:
-        InputError: the camera stands so far off that 16 bits cannot resolve the object.
+        InputError: from that far 16 bits cannot resolve the object.
     """
     if farthest <= STEPS * DEPTH_UNIT and diameter >= STEPS_PER_DIAMETER * DEPTH_UNIT:
         return DEPTH_UNIT
-    return float(f"1e{math.ceil(math.log10(farthest / STEPS))}")
+    unit = float(f"1e{math.ceil(math.log10(farthest / STEPS))}")
+    if diameter < MIN_STEPS_PER_DIAMETER * unit:
+        raise InputError(
+            f"--camera: it would stand {farthest:.3g} m off to see the whole bin, too far for an object of "
+            f"{diameter:.3g} m in 16 bits of depth; give a shorter focal length in pixels, or a smaller --bin."
+        )
+    return unit
 
 
 def simulate_scene(job: Job, index: int) -> tuple[Scene, int]:

@@ -13,6 +13,7 @@ from simgen.config import BinSize, ViewpointConfig
 
 Array = NDArray[np.float64]
 VIEW_STAGE = 1  # second word of the spawn key; the drop uses another
+HEADROOM = 1.5  # object diameters between the walls' top and the lowest camera
 HIDDEN_FLOOR = 0.5  # share of the floor that the near wall may hide at the steepest tilt
 
 
@@ -39,8 +40,8 @@ def max_tilt(config: ViewpointConfig, size: BinSize) -> float:
 def distance_range(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> tuple[float, float]:
     """Nearest and farthest distance in metres from the bin's middle; never among the instances."""
     half_view = min(camera.width / (2 * camera.fx), camera.height / (2 * camera.fy))
-    fits = max(size.width, size.depth) / 2 / half_view
-    clear = math.hypot(size.width / 2, size.depth / 2, size.height) + 2 * diameter
+    fits = max(size.width, size.depth) / 2 / half_view + size.height
+    clear = (size.height + HEADROOM * diameter) / math.cos(max_tilt(config, size))
     return max(config.nearest * fits, clear), max(config.farthest * fits, clear)
 
 
