@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GREEN, RED, GREY, PALE = "#2f9e44", "#d9413b", "#9aa1a9", "#b9cfe8"
 WIDTH, HEIGHT = 6.4, 4.0  # inches
-SCORE_BINS, ERROR_BINS = 40, 36
-LEAST_ROTATION, LEAST_TRANSLATION = 0.1, 0.1  # degrees and millimetres; smaller errors are shown as these
+SCORE_BINS, ERROR_BINS = 40, 40
+SMALLEST_ERROR = 1e-3  # degrees or millimetres; no camera tells less
 RASTERIZED_FROM = 5000  # points; a drawing of more is smaller as pixels
 
 
@@ -176,43 +176,50 @@ def ap_by_criterion(found: list[CriterionAp]) -> Chart:
 
 def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
     known = [entry for entry in bins if entry.instances]
+    asked = [entry for entry in known if entry.low >= min_visibility - 1e-9]
+    others = [entry for entry in known if entry.low < min_visibility - 1e-9]
 
     def draw(axes: Axes) -> None:
-        centers = [50 * (entry.low + entry.high) for entry in known]
-        colors = [LINE if entry.low >= min_visibility - 1e-9 else PALE for entry in known]
-        axes.bar(centers, [entry.ap for entry in known], width=8.4, color=colors, label="AP")
-        axes.plot(centers, [entry.recall for entry in known], "D", color=INK, markersize=5, label="share found")
-        for center, entry in zip(centers, known, strict=True):
-            axes.text(center, 1.04, str(entry.instances), ha="center", fontsize=8, color=INK)
+        for entries, color, label in ((asked, LINE, "AP"), (others, PALE, "AP, too hidden to be asked for")):
+            if entries:
+                axes.bar([_middle(e) for e in entries], [e.ap for e in entries], width=8.4, color=color, label=label)
+        if known:
+            shares = [entry.recall for entry in known]
+            axes.plot([_middle(e) for e in known], shares, "D", color=INK, markersize=5, label="share found")
+        for entry in known:
+            axes.text(_middle(entry), 1.04, str(entry.instances), ha="center", fontsize=8, color=INK)
         axes.set(xlim=(0, 100), ylim=(0, 1.12), xticks=range(0, 101, 10), yticks=np.linspace(0, 1, 6))
         axes.set(xlabel="visible share of the instance, %", ylabel="AP, share found")
         tidy(axes)
-        _legend(axes, "no instances", loc="lower right", framealpha=0.9)
+        _legend(axes, "no instances", loc="upper left", bbox_to_anchor=(0.0, 0.92))
 
     return Chart(
         name="ap_by_visibility",
         title="AP by visibility",
         caption="Only the instances of a bin (numbers on top) are asked for, in the images that show one; a hypothesis "
-        "on any other is ignored, but a false one counts in every bin. Diamonds: share of the instances found by some "
-        f"hypothesis. Pale: below the {min_visibility:.0%} from which on this evaluation asks for instances.",
+        "on any other is ignored, but a false one counts in every bin. Diamonds: share found by any hypothesis, false "
+        "ones or not.",
         columns=("low", "high", "instances", "ap", "found"),
         rows=[(entry.low, entry.high, entry.instances, entry.ap, entry.recall) for entry in bins],
         draw=draw,
     )
 
 
+def _middle(entry: VisibilityAp) -> float:
+    return 50.0 * (entry.low + entry.high)
+
+
 def rotation_errors(errors: PoseErrors) -> Chart:
-    return _error_histogram("rotation", "degrees", np.degrees(errors.rotation), LEAST_ROTATION, 180.0, errors)
+    return _error_histogram("rotation", "degrees", np.degrees(errors.rotation), 180.0, errors)
 
 
 def translation_errors(errors: PoseErrors, diameter: float) -> Chart:
-    reach = max(500.0 * diameter, 10 * LEAST_TRANSLATION)
-    return _error_histogram("translation", "mm", 1000.0 * errors.translation, LEAST_TRANSLATION, reach, errors)
+    return _error_histogram("translation", "mm", 1000.0 * errors.translation, 500.0 * diameter, errors)
 
 
-def _error_histogram(kind: str, unit: str, error: Array, least: float, most: float, errors: PoseErrors) -> Chart:
-    edges = np.geomspace(least, most, ERROR_BINS + 1)
-    shown = np.clip(error, least, most)
+def _error_histogram(kind: str, unit: str, error: Array, most: float, errors: PoseErrors) -> Chart:
+    edges = np.geomspace(_decade_below(error, most), most, ERROR_BINS + 1)
+    shown = np.clip(error, edges[0], edges[-1])
     counts = {
         "true": np.histogram(shown[errors.right], edges)[0],
         "too far off": np.histogram(shown[~errors.right], edges)[0],
@@ -226,8 +233,8 @@ def _error_histogram(kind: str, unit: str, error: Array, least: float, most: flo
                     below + count, edges, baseline=below, fill=True, color=color, label=f"{name} ({count.sum()})"
                 )
             below = below + count
-        axes.set(xscale="log", xlim=(least, most), xlabel=f"{kind} error, {unit}", ylabel="instances")
-        _plain_ticks(axes, _decades(least, most))
+        axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel=f"{kind} error, {unit}", ylabel="instances")
+        _plain_ticks(axes, edges)
         tidy(axes)
         _legend(axes, "no hypothesis is near an instance")
 
@@ -248,6 +255,12 @@ def _spread_in_words(error: Array, unit: str) -> str:
     half, most = np.quantile(error, [0.5, 0.9])
     sign = "°" if unit == "degrees" else f" {unit}"
     return f"True poses: half are within {half:.2g}{sign}, 90 % within {most:.2g}{sign}."
+
+
+def _decade_below(error: Array, most: float) -> float:
+    """The power of ten below almost all errors."""
+    small = np.quantile(error, 0.02) if len(error) else 0.1
+    return float(10.0 ** np.floor(np.log10(np.clip(small, SMALLEST_ERROR, most / 10))))
 
 
 def _score_edges(score: Array) -> Array:

@@ -141,13 +141,13 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     protocol = rules.protocol.startswith("sileane") and rules.max_results is None
     simulated = any(OUR_IMAGE_ID.fullmatch(name) for name in result.image_ids)
     here = "rendered by simgen" if simulated else "their origin is not recorded in gt.json"
-    stated = NOT_STATED if table.min_visibility is None else f"at least {table.min_visibility:.0%} visible"
+    stated = NOT_STATED if table.min_visibility is None else f"at least {100 * table.min_visibility:g} % visible"
     best = "" if rules.max_results is None else f", the best {rules.max_results} of an image"
     return [
         Condition("images", table.images, f"{len(result.image_ids)}, {here}", False if simulated else None),
         Condition("object", ", ".join(table.columns), result.object_name, None if column is not None else False),
         Condition("criterion", table.measure, f"{rules.criterion} at most {rules.threshold:g}", criterion),
-        Condition("instances to find", stated, f"at least {rules.min_visibility:.0%} visible", visibility),
+        Condition("instances to find", stated, f"at least {100 * rules.min_visibility:g} % visible", visibility),
         Condition("protocol", PROTOCOL, f"{rules.protocol}{best}", protocol if table.criterion == "sym" else None),
     ]
 

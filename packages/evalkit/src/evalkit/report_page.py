@@ -100,7 +100,7 @@ def _header(content: Content) -> str:
 <p class="kicker">How good are these 6D poses? A report by evalkit {escape(evalkit_version())}</p>
 <h1>{escape(result.object_name)}</h1>
 <p class="lead"><strong>AP {result.ap:.3f}</strong> <span>{escape(criterion)}, instances at least
-{result.settings.min_visibility:.0%} visible, protocol {result.settings.protocol}<br>{_ap_interval(content)}</span></p>
+{100 * result.settings.min_visibility:g} % visible, protocol {result.settings.protocol}<br>{_ap_interval(content)}</span></p>
 <nav><a href="#figures">Figures</a> <a href="#images">Images</a> <a href="#published">Published results</a>
 <a href="#protocol">Protocol, counts, hashes</a></nav>
 <dl class="tiles">{"".join(tiles)}</dl>
