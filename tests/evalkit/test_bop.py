@@ -12,6 +12,8 @@ from click.testing import CliRunner
 from evalkit import InputError, average_precision, poses
 from evalkit.adapters import bop, bop_results
 from evalkit.adapters.bop_object import symmetry_group
+from evalkit.adapters.depth_images import write_depth_images
+from evalkit.camera import Camera
 from evalkit.cli import main
 from evalkit.distances import Sym
 from evalkit.documents import PredictionImage, Predictions, read_ground_truth, read_predictions
@@ -244,8 +246,21 @@ def test_missing_visibility_is_asked_for_and_may_be_given(split, tmp_path):
         bop.read_ground_truth(split, object_id=1, visibility=str(tmp_path / "seen.json"))
 
 
-def test_depth_images_are_scaled_as_the_camera_says(split):
-    np.testing.assert_allclose(bop.find_scenes(split)[0].read_depth(3, 0.5), 1.0)
+def test_depth_images_go_out_in_one_coding_also_where_the_poses_are_not_public(split, tmp_path):
+    (split / "000001" / "scene_gt.json").unlink()
+    out = tmp_path / "depth"
+    done = CliRunner().invoke(main, ["depth", str(split), "--from", "bop", "-o", str(out)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in out.iterdir()) == ["000001-000003.png", "000001-000004.png", "camera.json"]
+    assert (cv2.imread(str(out / "000001-000003.png"), cv2.IMREAD_UNCHANGED) == 10_000).all()  # 2000 x 0.5 mm
+    assert Camera.load(out / "camera.json") == Camera(80, 60, 600.0, 610.0, 39.5, 29.0)
+
+
+def test_images_of_several_cameras_go_to_a_folder_each(split, tmp_path):
+    edit(split / "000001" / "scene_camera.json", lambda d: d["4"].update(cam_K=[500, *K[1:]]))
+    counts = write_depth_images(tmp_path / "depth", bop.depth_images(split))
+    assert [(folder.name, count) for folder, count in counts.items()] == [("camera-00", 1), ("camera-01", 1)]
+    assert (tmp_path / "depth" / "camera-01" / "000001-000004.png").is_file()
 
 
 @pytest.mark.parametrize(

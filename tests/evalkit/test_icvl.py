@@ -160,6 +160,13 @@ def test_a_pose_that_cannot_be_read_is_refused_by_file(tmp_path, mesh, text, wor
         icvl.read_ground_truth(tmp_path / "test", visibility="full", **mesh)
 
 
+def test_depth_images_are_millimetres(tmp_path):
+    write_scene(tmp_path / "test" / "01", depth_mm=731)
+    images = list(icvl.depth_images(tmp_path / "test"))
+    assert [image.id for image in images] == ["000001-000000", "000001-000012"]
+    np.testing.assert_allclose(images[0].read(), 0.731)
+
+
 def test_missing_depth_and_folders_are_named(tmp_path, mesh):
     scene = write_scene(tmp_path / "test" / "01")
     (scene / "depth12.png").unlink()

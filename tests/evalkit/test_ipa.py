@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -143,6 +144,20 @@ def test_parameters_that_make_no_sense_are_refused(folder, mesh, change):
     (folder / "parameter.json").write_text(json.dumps(PARAMETERS | change))
     with pytest.raises(InputError, match=r"parameter\.json"):
         ipa.read_ground_truth(folder, **mesh)
+
+
+def test_depth_images_run_from_one_clipping_plane_to_the_other(folder):
+    place = folder / "p_depth" / "cycle_0003"
+    place.mkdir(parents=True)
+    raw = np.zeros((300, 400), np.uint16)
+    raw[0, 1:4] = 1, 32768, 65535
+    cv2.imwrite(str(place / "005_depth_uint16.png"), raw)
+    (image,) = ipa.depth_images(folder)
+    assert image.id == "000003-000005"
+    np.testing.assert_allclose(image.read()[0, :4], [0, 0.8 + 1.1 / 65535, 0.8 + 1.1 * 32768 / 65535, 0])
+    (folder / "parameter.json").write_text(json.dumps(PARAMETERS | {"clip_end": 0.8}))
+    with pytest.raises(InputError, match=r"parameter\.json.*clip_start"):
+        list(ipa.depth_images(folder))
 
 
 def test_what_is_missing_is_asked_for(folder, tmp_path):

@@ -13,7 +13,7 @@ from evalkit.atomic import sha256_of_file, write_json
 from evalkit.command import Commands
 from evalkit.distances import CRITERIA
 from evalkit.evaluation import Result, average_precision
-from evalkit.format_commands import gt, preds
+from evalkit.format_commands import depth, gt, preds
 from evalkit.rules import PROTOCOLS
 
 FILE = click.Path(path_type=Path)
@@ -28,6 +28,7 @@ def main() -> None:
 
 main.add_command(gt)
 main.add_command(preds)
+main.add_command(depth)
 
 
 def evaluation_options(command: Any) -> Any:

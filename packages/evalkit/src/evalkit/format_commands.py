@@ -1,4 +1,4 @@
-"""`evalkit gt` and `evalkit preds`: everyone's files to our documents, and back."""
+"""`evalkit gt`, `preds` and `depth`: everyone's files to ours, and back."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from evalkit import adapters, documents
+from evalkit.errors import InputError
 
 FILE = click.Path(path_type=Path)
 SOURCE_OPTIONS = [
@@ -26,7 +27,6 @@ SOURCE_OPTIONS = [
     click.option("--width", type=click.IntRange(1), help="Image width where the files do not tell it.  [bop]"),
     click.option("--height", type=click.IntRange(1), help="Image height where the files do not tell it.  [bop]"),
 ]
-RESULT_OPTIONS = {"object_name", "object_id", "camera_params"}  # of SOURCE_OPTIONS, what results take
 
 
 def source_options(command: Any) -> Any:
@@ -97,3 +97,30 @@ def preds(source: Path, kind: str, target: str, output: Path, **options: Any) ->
         click.echo(f"Note: {remark}", err=True)
     hypotheses = sum(len(image.score) for image in predictions.images)
     click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
+
+
+@click.command()
+@click.argument("source", type=FILE)
+@click.option("--from", "kind", type=click.Choice(list(adapters.DEPTH_IMAGES)), required=True)
+@click.option("-o", "--output", type=FILE, required=True, help="The folder to write.")
+@click.option("--camera", type=FILE, help="The camera as JSON, in place of the dataset's.  [icvl]")
+@click.option("--sensor", help="Of a set with several sensors, this one, such as cam1.  [bop]")
+@click.option("--targets", type=FILE, help="Only the images that test_targets_bop*.json lists.  [bop]")
+def depth(source: Path, kind: str, output: Path, **options: Any) -> None:
+    """Write the depth images of SOURCE in one coding, named as in gt.json, with their camera.json.
+
+    16-bit PNG, 0.0001 m a step, 0 = no return. To predict on them:
+
+    \b
+    posenet predict MODEL OUTPUT --camera OUTPUT/camera.json --depth-unit 0.0001 -o preds.json
+    """
+    from evalkit.adapters.depth_images import DEPTH_UNIT, write_depth_images
+
+    known = adapters.options_of(adapters.DEPTH_IMAGES, kind)
+    adapters.refuse_unknown(options, known, f"--from {kind}")
+    images = adapters.function(adapters.DEPTH_IMAGES, kind)(source, **adapters.given(options, known))
+    counts = write_depth_images(output, images)
+    if not counts:
+        raise InputError(f"{source}: holds no depth images of the {kind} format; check the path.")
+    for folder, count in counts.items():
+        click.echo(f"{folder}: {count} depth images, {DEPTH_UNIT:g} m a step, and camera.json")

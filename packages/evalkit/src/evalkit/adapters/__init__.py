@@ -33,6 +33,11 @@ WRITERS = {
     "bop": "evalkit.adapters.bop_results:write_predictions",
     "sileane": "evalkit.adapters.sileane:write_predictions",
 }
+DEPTH_IMAGES = {
+    "bop": "evalkit.adapters.bop:depth_images",
+    "icvl": "evalkit.adapters.icvl:depth_images",
+    "ipa": "evalkit.adapters.ipa:depth_images",
+}
 OPTION_NAMES = {"object_name": "--object"}
 
 

@@ -7,7 +7,7 @@ name to all of them (``scene_gt_cam1.json``). An image is known as scene and ima
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.bop_object import METRES, read_object
-from evalkit.adapters.depth_images import image_size, read_raw_depth
+from evalkit.adapters.depth_images import DepthImage, image_size, read_raw_depth
 from evalkit.adapters.fields import checked_poses, image_id, numbers
 from evalkit.adapters.visibility import SYNTAX, Visibility
 from evalkit.camera import Camera
@@ -107,8 +107,25 @@ def read_ground_truth(
     return GroundTruth(model, images, source=str(folder), remarks=tuple(remarks))
 
 
-def find_scenes(folder: Path, sensor: str | None = None) -> list[Scene]:
-    """The scenes in a split's folder, or the one scene that `folder` is.
+def depth_images(folder: Path, *, sensor: str | None = None, targets: Path | None = None) -> Iterator[DepthImage]:
+    """The depth images of a split or of one scene; splits whose ground truth is not public have them too.
+
+    Raises:
+        InputError: a file is missing or is not what it should be.
+    """
+    wanted = None if targets is None else _read_targets(targets)
+    for scene in find_scenes(folder, sensor, "scene_camera"):
+        cameras = scene.entries("scene_camera")
+        for number in cameras:
+            if wanted is None or (scene.number, number) in wanted:
+                where = f"{scene.file('scene_camera')}: image '{number}'"
+                camera = _camera(cameras, number, where, _SizeSource(None, None, None).of(scene, number))
+                read = partial(_depth, scene, number, cameras[number], where)
+                yield DepthImage(image_id(scene.number, number), camera, read)
+
+
+def find_scenes(folder: Path, sensor: str | None = None, stem: str = "scene_gt") -> list[Scene]:
+    """The scenes in a split's folder, or the one scene that `folder` is: what holds the file `stem`.
 
     Raises:
         InputError: there is none, or the set has several sensors and `sensor` names none of them.
@@ -117,24 +134,24 @@ def find_scenes(folder: Path, sensor: str | None = None) -> list[Scene]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a BOP split such as DATASET/test.")
     candidates = [folder, *sorted(path for path in folder.iterdir() if path.is_dir())]
-    scenes = [path for path in candidates if (path / f"scene_gt{name}.json").is_file()]
+    scenes = [path for path in candidates if (path / f"{stem}{name}.json").is_file()]
     if not scenes:
-        raise InputError(_no_scenes(folder, candidates))
+        raise InputError(_no_scenes(folder, candidates, stem))
     for path in scenes:
         if not path.resolve().name.isdecimal():
             raise InputError(f"{path}: a scene's folder must be named by its number, such as 000001.")
     return [Scene(path, int(path.resolve().name), name) for path in scenes]
 
 
-def _no_scenes(folder: Path, candidates: list[Path]) -> str:
-    sensors = sorted({path.stem[9:] for folder in candidates for path in folder.glob("scene_gt_*.json")})
+def _no_scenes(folder: Path, candidates: list[Path], stem: str) -> str:
+    sensors = sorted({path.stem[len(stem) + 1 :] for place in candidates for path in place.glob(f"{stem}_*.json")})
     sensors = [name for name in sensors if not name.startswith(("info", "coco"))]
     if sensors:
         return f"{folder}: its scenes have several sensors; give --sensor {' or '.join(sensors)}."
-    splits = [path for path in candidates[1:] if next(path.glob("*/scene_gt*.json"), None)]
+    splits = [path for path in candidates[1:] if next(path.glob(f"*/{stem}*.json"), None)]
     if splits:
         return f"{folder}: is a whole dataset; give one of its splits, such as {splits[0]}."
-    return f"{folder}: holds no scene_gt.json, nor do its folders; the ground truth of this split may not be public."
+    return f"{folder}: neither it nor its folders hold {stem}.json; the ground truth of some BOP splits is not public."
 
 
 def _annotations(scene: Scene) -> dict[int, list[dict[str, Any]]]:

@@ -1,8 +1,10 @@
-"""Depth images as datasets store them: how large they are, and what they hold."""
+"""Depth images as datasets store them: how large they are, what they hold, and all of them in one coding."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,51 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.atomic import atomic_path, write_json
+from evalkit.camera import Camera
 from evalkit.errors import InputError
 
+DEPTH_UNIT = 1e-4  # metres a step of what is written; the farthest is 6.55 m
+HIGHEST = np.iinfo(np.uint16).max
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """A depth image by the id that gt.json knows it by; `read` gives it (height, width) in metres, 0 = no return."""
+
+    id: str
+    camera: Camera
+    read: Callable[[], NDArray[np.float64]]
+
+
+def write_depth_images(folder: Path, images: Iterable[DepthImage]) -> dict[Path, int]:
+    """Write FOLDER/ID.png, 16 bits, a tenth of a millimetre a step, and FOLDER/camera.json; how many are in a folder.
+
+    Images of several cameras go to a folder each, FOLDER/camera-00 and so on. What is beyond 6.55 m is left out (0).
+    """
+    by_camera: dict[Camera, list[DepthImage]] = {}
+    for image in images:
+        by_camera.setdefault(image.camera, []).append(image)
+    counts = {}
+    for number, (camera, members) in enumerate(by_camera.items()):
+        place = folder if len(by_camera) == 1 else folder / f"camera-{number:02d}"
+        write_json(place / "camera.json", camera.to_json())
+        for image in members:
+            _write_png(place / f"{image.id}.png", image)
+        counts[place] = len(members)
+    return counts
+
+
+def _write_png(path: Path, image: DepthImage) -> None:
+    depth = image.read()
+    if depth.shape != (image.camera.height, image.camera.width):
+        found = "x".join(str(side) for side in depth.shape[::-1])
+        raise InputError(f"image '{image.id}' is {found} pixels, not {image.camera.width}x{image.camera.height}.")
+    steps = np.round(depth / DEPTH_UNIT)
+    encoded = cv2.imencode(".png", np.where(steps <= HIGHEST, steps, 0).astype(np.uint16))[1]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -46,3 +90,9 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
             f"{path}: a depth image has one channel of 16 bits; this one is {values.dtype} {values.shape}."
         )
     return values
+
+
+def between_clip_planes(raw: NDArray[Any], near: float, far: float) -> NDArray[np.float64]:
+    """Metres of 16-bit values that run linearly between two clipping planes; both ends mean no return."""
+    depth = near + (far - near) * raw.astype(float) / HIGHEST
+    return np.where((raw > 0) & (raw < HIGHEST), depth, 0.0)

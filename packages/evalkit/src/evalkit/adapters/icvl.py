@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.adapters.depth_images import read_raw_depth
+from evalkit.adapters.depth_images import DepthImage, read_raw_depth
 from evalkit.adapters.fields import checked_poses, image_id
 from evalkit.adapters.visibility import SYNTAX, Visibility
 from evalkit.camera import Camera
@@ -92,12 +92,27 @@ def read_predictions(folder: Path, *, object_name: str | None = None) -> Predict
     return Predictions(name, found, source=str(folder))
 
 
-def _find(folder: Path, object_name: str | None) -> tuple[list[_Image], str]:
-    """The images of all scenes, and the object that is meant."""
+def depth_images(folder: Path, *, camera: Path | None = None) -> Iterator[DepthImage]:
+    """The depth images of ``test`` or of one scene.
+
+    Raises:
+        InputError: there is none, or one is not what it should be.
+    """
+    view = CAMERA if camera is None else Camera.load(camera)
+    for scene in _scenes(folder):
+        for image in _images(scene):
+            yield DepthImage(image.id, view, partial(_read_depth, image))
+
+
+def _scenes(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the dataset's test, or one of its scenes such as test/01.")
-    scenes = [path for path in [folder, *sorted(folder.iterdir())] if path.is_dir() and path.resolve().name.isdecimal()]
-    images = [image for scene in scenes for image in _images(scene)]
+    return [path for path in [folder, *sorted(folder.iterdir())] if path.is_dir() and path.resolve().name.isdecimal()]
+
+
+def _find(folder: Path, object_name: str | None) -> tuple[list[_Image], str]:
+    """The images of all scenes, and the object that is meant."""
+    images = [image for scene in _scenes(folder) for image in _images(scene)]
     known = sorted({name for image in images for name in image.files})
     if not known:
         raise InputError(f"{folder}: neither it nor its numbered folders hold poses such as coffee_cup1_0.txt.")

@@ -4,7 +4,8 @@
 x, y, z in metres, the rotation column by column, and last the visibility in the perspective image. The poses are
 camera from object with x to the left and y up. The image is a window, ``resolutionX`` by ``resolutionY``, of a square
 one of side ``resolution_big`` that spans ``perspectiveAngle`` degrees; the window starts ``pixelOffset_X_KoSyTopLeft``
-to the right and ``pixelOffset_Y_KoSyTopLeft`` down. The dataset publishes no format of results; results are read from
+to the right and ``pixelOffset_Y_KoSyTopLeft`` down. Depth images, ``p_depth/cycle_0000/011_depth_uint16.png``, run
+linearly from ``clip_start`` to ``clip_end`` metres. The dataset publishes no format of results; results are read from
 files like these with a score in the last column.
 """
 
@@ -13,12 +14,15 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import checked_poses, image_id, numbers
 from evalkit.camera import Camera
 from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions, load_json
@@ -27,6 +31,7 @@ from evalkit.mesh_files import load_object
 
 Array = NDArray[np.float64]
 PARAMETERS = "parameter.json"
+DEPTH_SUFFIX = "_depth_uint16.png"
 CV_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])
 CYCLE = re.compile(r"cycle_(\d+)")
 FIRST_NUMBER, NUMBERS = 2, 12  # columns of x, y, z and the rotation, after id and class
@@ -83,6 +88,30 @@ def read_predictions(folder: Path, *, object_name: str | None = None) -> Predict
         raise InputError(f"{folder}: the files do not say whose poses they hold; give --object as gt.json names it.")
     images = [PredictionImage(name, *_read_table(path)) for name, path in _find(folder).items()]
     return Predictions(object_name, images, source=str(folder))
+
+
+def depth_images(folder: Path) -> Iterator[DepthImage]:
+    """The depth images, in the perspective view, of an object's folder or of a folder within its p_depth/.
+
+    Raises:
+        InputError: there is none, or parameter.json does not say what their values mean.
+    """
+    path = _parameter_file(folder)
+    camera, document = read_camera(path), load_json(path)
+    near, far = (float(numbers(document, key, (), str(path))) for key in ("clip_start", "clip_end"))
+    if not 0 <= near < far:
+        raise InputError(f"{path}: the fields 'clip_start' and 'clip_end' must be metres, the first the smaller.")
+    root = folder / "p_depth" if (folder / "p_depth").is_dir() else folder
+    files = sorted(root.rglob(f"*{DEPTH_SUFFIX}"))
+    if not files:
+        raise InputError(f"{folder}: holds no p_depth/cycle_0000/000{DEPTH_SUFFIX}; give the folder of one object.")
+    for file in files:
+        name = _image_name(file.with_name(file.name.removesuffix(DEPTH_SUFFIX)), root)
+        yield DepthImage(name, camera, partial(_read_depth, file, near, far))
+
+
+def _read_depth(path: Path, near: float, far: float) -> Array:
+    return between_clip_planes(read_raw_depth(path), near, far)
 
 
 def read_camera(path: Path) -> Camera:
