@@ -25,8 +25,10 @@ def run_command() -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture(scope="session")
 def debug_shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenes of bunnies, three views each, 160 x 120."""
+    """Two scenes of bunnies side by side, three views each, 160 x 120."""
     out = tmp_path_factory.mktemp("shards") / "debug"
-    done = _run_command("simgen", "build", "--object", "bunny", "--preset", "debug", "--scenes", 2, "-o", out)
+    done = _run_command(
+        "simgen", "build", "--object", "bunny", "--preset", "debug", "--scenes", 2, "--bin", "0.3x0.3x0.1", "-o", out
+    )
     assert done.returncode == 0, done.stderr
     return out

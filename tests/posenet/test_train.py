@@ -29,7 +29,7 @@ def options(shards: Path, out: Path, config: Config | None = None, **rest: objec
 
 def test_it_overfits_two_scenes(debug_shards: Path, tmp_path: Path) -> None:
     """All labels, heads and decoders agree, or this cannot be."""
-    run = fit(options(debug_shards, tmp_path / "run", epochs=400))
+    run = fit(options(debug_shards, tmp_path / "run", epochs=350))
     frames = Frames(debug_shards)
     network = load_model(run.path).network
     result = validate(network, frames, np.arange(len(frames.dataset)), torch.device("cpu"))
@@ -174,3 +174,11 @@ def test_one_cycle_rises_then_falls_to_nearly_nothing() -> None:
     factors = [learning_rate_factor(p, "one-cycle", 0.1) for p in np.linspace(0, 1, 101)]
     assert max(factors) == pytest.approx(factors[10], abs=0.01)
     assert factors[-1] < 1e-3 and (np.diff(factors[10:]) <= 0).all()
+
+
+def test_cosine_begins_at_its_peak_and_constant_stays_there() -> None:
+    cosine = [learning_rate_factor(p, "cosine", 0.1) for p in np.linspace(0, 1, 101)]
+    assert cosine[0] == max(cosine) == pytest.approx(1.0, abs=1e-3)
+    assert cosine[-1] < 1e-3 and (np.diff(cosine) <= 0).all()
+    constant = [learning_rate_factor(p, "constant", 0.1) for p in np.linspace(0.1, 1, 10)]
+    assert constant == [1.0] * 10
