@@ -113,7 +113,7 @@ def test_the_same_view_in_other_pixels_gives_the_same_poses(
     small, large = predictor.predict(view.depth, view.camera), predictor.predict(depth, camera)
     np.testing.assert_allclose(large.cam_from_obj, small.cam_from_obj, atol=1e-4)
     np.testing.assert_allclose(large.score, small.score, atol=1e-3)
-    np.testing.assert_allclose(large.boxes, small.boxes * [wider, higher] * 2, atol=0.1 * wider)
+    np.testing.assert_allclose(large.boxes, small.boxes * np.tile([wider, higher], 2), atol=0.1 * wider)
 
 
 @pytest.mark.parametrize(("width", "height"), [(157, 113), (61, 119), (40, 40)])

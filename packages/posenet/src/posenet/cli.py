@@ -1,4 +1,4 @@
-"""`posenet fit`, `posenet predict`, `posenet info`."""
+"""`posenet fit`, `predict`, `info`, `figures`, `export`."""
 
 from __future__ import annotations
 
@@ -120,6 +120,40 @@ def predict(
 def info(model: Path, as_json: bool) -> None:
     """Print what a model was trained on, how long, and how well it validated."""
     click.echo(_summary(model, as_json))
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("shards", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="figures", show_default=True)
+@click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the frame drawn on.")
+def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
+    """Draw how MODEL works: its angle bins, one detection's hypotheses, and the registration's relation features.
+
+    SHARDS are of the kind that the model was trained on; one of their frames is drawn on.
+    """
+    from posenet.figures import draw_figures
+    from posenet.model_file import load_model
+
+    for path in draw_figures(load_model(model).network, shards, out, frame):
+        click.echo(path)
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="model.onnx", show_default=True)
+def export(model: Path, out: Path) -> None:
+    """Write MODEL as ONNX, for what runs without Python: trunk with detector, and the heads of the regions.
+
+    Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to centre, depth
+    and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.export's docstring.
+    Needs pip install 'binpose-posenet[export]'.
+    """
+    from posenet import export as onnx
+    from posenet.model_file import load_model
+
+    for path in onnx.export(load_model(model).network, out):
+        click.echo(path)
 
 
 def _summary(model: Path, as_json: bool = False) -> str:

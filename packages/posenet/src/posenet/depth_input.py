@@ -41,9 +41,8 @@ def _slope(depth: Tensor, valid: Tensor, dim: int) -> Tensor:
 
 def image_median(depth: Tensor) -> Tensor:
     """Median of the pixels with a return, of each image (B, H, W) -> (B,); 1 for an image of holes."""
-    flat = depth[:, ::4, ::4].flatten(1)
-    median = torch.nanmedian(torch.where(flat > 0, flat, torch.nan), dim=1).values
-    return torch.where(torch.isfinite(median), median, torch.ones_like(median))
+    median = _median_of_returns(depth[:, ::4, ::4].flatten(1))
+    return torch.where(median > 0, median, torch.ones_like(median))
 
 
 def network_input(
@@ -65,9 +64,18 @@ def network_input(
 
 def median_depth(depth: Tensor, boxes: Tensor, image_index: Tensor, grid: int = 16) -> Tensor:
     """Median of the depth returned inside each box: (B, H, W), (n, 4), (n,) -> (n,); 0 where nothing returned."""
-    samples = sample_nearest(depth[:, None], boxes, image_index, grid)[:, 0].flatten(1)
-    median = torch.nanmedian(torch.where(samples > 0, samples, torch.nan), dim=1).values
-    return torch.nan_to_num(median, nan=0.0)
+    return _median_of_returns(sample_nearest(depth[:, None], boxes, image_index, grid)[:, 0].flatten(1))
+
+
+def _median_of_returns(values: Tensor) -> Tensor:
+    """The (lower) median of the positive numbers of each row, (n, k) -> (n,); 0 where there are none."""
+    if not torch.compiler.is_exporting():
+        return torch.nanmedian(torch.where(values > 0, values, torch.nan), dim=1).values.nan_to_num(nan=0.0)
+    # ONNX has no median, but it sorts: holes come first, and are as many as values - count.
+    ordered, count = values.sort(dim=1).values, (values > 0).sum(1)
+    middle = values.shape[1] - count + (count - 1).clamp(min=0) // 2
+    found = ordered.gather(1, middle.clamp(max=values.shape[1] - 1)[:, None])[:, 0]
+    return found * (count > 0)
 
 
 def sample_nearest(images: Tensor, windows: Tensor, image_index: Tensor, size: int) -> Tensor:

@@ -134,7 +134,7 @@ def roi_align(
     [j, j + 1) / spatial_scale; without, it is taken half a cell too far, as the first implementations did.
     Differentiable with respect to the features, not the regions. Computed in float32, returned in the features' type.
     """
-    if _torchvision_roi_align is not None:
+    if _torchvision_roi_align is not None and not torch.compiler.is_exporting():
         pooled = _torchvision_roi_align(
             features.float(), rois.float(), output_size, spatial_scale, sampling_ratio, aligned
         )
@@ -147,7 +147,8 @@ def _roi_align(
 ) -> Tensor:
     """Every bin is a weighted sum of a few feature cells: that is an embedding bag, whose kernel is fast everywhere.
 
-    benchmarks: against one dense matrix a region, and against grid_sample, it is 2 to 9 times as fast on a CPU.
+    In float32 on two CPU cores, forward and backward, 2.6 to 4 times as fast as dense weights a region and 5 to 9 times
+    as fast as grid_sample (8 to 64 regions an image, 128 channels, 30 x 40 cells, 8 x 8 bins).
     """
     batch, channels, height, width = features.shape
     boxes = rois[:, 1:].float() * spatial_scale
@@ -160,10 +161,12 @@ def _roi_align(
     weights = row_weight[:, :, None, :, None] * column_weight[:, None, :, None, :]
     per_bin = (2 * sampling_ratio) ** 2
     flat = features.permute(0, 2, 3, 1).reshape(batch * height * width, channels).float()
-    pooled = F.embedding_bag(
-        cells.reshape(-1, per_bin), flat, mode="sum", per_sample_weights=weights.reshape(-1, per_bin)
-    )
-    return pooled.view(len(rois), size, size, channels).permute(0, 3, 1, 2).to(features.dtype)
+    cells, weights = cells.reshape(-1, per_bin), weights.reshape(-1, per_bin)
+    if torch.compiler.is_exporting():  # ONNX has no weighted embedding bag
+        pooled = (flat[cells] * weights[..., None]).sum(1)
+    else:
+        pooled = F.embedding_bag(cells, flat, mode="sum", per_sample_weights=weights)
+    return pooled.view(rois.shape[0], size, size, channels).permute(0, 3, 1, 2).to(features.dtype)
 
 
 def _axis_samples(low: Tensor, high: Tensor, size: int, ratio: int, cells: int) -> tuple[Tensor, Tensor]:

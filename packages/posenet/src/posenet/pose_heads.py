@@ -69,7 +69,7 @@ class PoseHeads(nn.Module):
         if self.rotation is not None:
             rotation = euler.from_6d(self.rotation(features).float())
         else:
-            rotation = torch.eye(3, device=features.device).expand(len(features), 3, 3)
+            rotation = torch.eye(3, device=features.device).expand(features.shape[0], 3, 3)
         offset = self.offset(features).float()
         if not self.config.offset:
             offset = offset * 0.0

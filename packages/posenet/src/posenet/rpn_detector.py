@@ -179,10 +179,10 @@ class BoxHead(nn.Module):
 
     def forward(self, features: Tensor, boxes: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
         """Boxes (n, 4) of each image to logits (n,) and deltas (n, 4) of each, float32."""
-        index = torch.cat([box.new_full((len(box), 1), image) for image, box in enumerate(boxes)])
+        index = torch.cat([box.new_full((box.shape[0], 1), image) for image, box in enumerate(boxes)])
         rois = torch.cat([index, torch.cat(boxes)], 1)
         hidden = self.trunk(roi_align(features, rois, self.roi_size, 1 / self.stride))
-        counts = [len(box) for box in boxes]
+        counts = [box.shape[0] for box in boxes]
         logits = self.score(hidden).float()[:, 0].split(counts)
         deltas = (self.deltas(hidden).float() * self.scale).split(counts)
         return list(logits), list(deltas)

@@ -1,0 +1,80 @@
+"""Everything between a depth image and its scored poses, kept for the eye."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from evalkit.errors import InputError
+from evalkit.overlays import draw_poses, shade
+from evalkit.scene import View
+from posenet import euler
+from posenet.any_camera import pad_to_multiple
+from posenet.dataset import intrinsics_of
+from posenet.detector import Detections
+from posenet.hypotheses import Hypotheses
+from posenet.network import PoseNetwork
+from posenet.pose_heads import PoseOutputs
+
+# Rank of a hypothesis in its detection to a colour, RGB; told apart by the colour-blind too (Wong 2011).
+COLORS = ((0, 158, 115), (230, 159, 0), (86, 180, 233), (204, 121, 167), (240, 228, 66))
+SCALE = 4  # pictures are so much larger than the depth image
+
+
+@dataclass(frozen=True, eq=False)
+class LookedAt:
+    """One frame, the n detections of the network on it, what was read off them and the H hypotheses that follow."""
+
+    network: PoseNetwork
+    view: View
+    outputs: PoseOutputs
+    hypotheses: Hypotheses
+    detections: Detections
+    logit: Tensor  # (H,) of the confidence
+    score: NDArray[np.float64]  # (H,) final, 0 to 1
+
+    @property
+    def angles(self) -> Tensor:
+        """a, b, c (H, 3) of the hypotheses, of all equivalent ones those that the bins are made for."""
+        return torch.stack(euler.to_angles(self.network.codec.canonical_label(self.hypotheses.relative)), -1)
+
+    def of_detection(self, row: int) -> list[int]:
+        """Rows of the hypotheses of one detection, best product first."""
+        return [int(i) for i in (self.hypotheses.detection == row).nonzero()[:, 0]]
+
+    def poses(self, rows: list[int]) -> NDArray[np.float64]:
+        few = self.hypotheses.select(torch.tensor(rows))
+        return self.network.codec.cam_from_obj(few.rotation, few.center)
+
+    def picture(self, groups: list[list[int]]) -> NDArray[np.uint8]:
+        """The depth image with hypotheses' contours (SCALE H, SCALE W, 3), RGB; colours by place in each group."""
+        view, model = self.view, self.network.model
+        canvas = shade(view.depth, view.camera, SCALE)
+        for rows in groups:
+            bgr = [(b, g, r) for r, g, b in COLORS[: len(rows)]]
+            canvas = draw_poses(view.depth, view.camera, model, self.poses(rows[::-1]), bgr[::-1], SCALE, 2, canvas)
+        return np.ascontiguousarray(canvas[..., ::-1])
+
+
+@torch.no_grad()
+def look_at(network: PoseNetwork, view: View) -> LookedAt:
+    """Run the network (on the CPU) on a frame of its own kind of shards.
+
+    Raises:
+        InputError: the camera is not the one that the network was trained with, or nothing is found.
+    """
+    if view.camera != network.camera:
+        raise InputError(f"image '{view.image_id}' is of another camera than the model's; draw on shards of its own.")
+    depth = pad_to_multiple(torch.from_numpy(view.depth)[None], network.backbone.stride)
+    intrinsics = intrinsics_of(view.camera)[None]
+    features, normals = network._features(depth, intrinsics)
+    ((outputs, few, detections),) = list(network._hypothesise(features, normals, depth, intrinsics))
+    if len(few) == 0:
+        raise InputError(f"image '{view.image_id}': the model finds nothing there; give another --frame.")
+    scored = network._score_image(outputs, few, detections)
+    final = scored.logit if scored.registered is None else scored.registered
+    return LookedAt(network, view, outputs, few, detections, scored.logit, final.sigmoid().double().numpy())
