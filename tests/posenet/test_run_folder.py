@@ -16,6 +16,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from evalkit.command import describe_os_error
+from evalkit.errors import InputError
 from evalkit.shards import USER_BLOCK, list_shards
 from posenet import dataset, trainer
 from posenet.config import preset, with_options
@@ -178,6 +179,13 @@ def test_what_a_killed_write_left_behind_is_removed(debug_shards: Path, tmp_path
     leftover.write_bytes(b"half")
     fit(options(debug_shards, tmp_path / "run", epochs=1))
     assert not leftover.exists()
+
+
+def test_two_processes_do_not_train_in_one_folder(debug_shards: Path, tmp_path: Path) -> None:
+    run = fit(options(debug_shards, tmp_path / "run", epochs=1))
+    with run.locked(), pytest.raises(InputError, match="another process is training"):
+        fit(options(debug_shards, tmp_path / "run", epochs=1))
+    fit(options(debug_shards, tmp_path / "run", epochs=1))
 
 
 def test_a_run_begun_before_an_option_was_added_goes_on(debug_shards: Path, tmp_path: Path) -> None:

@@ -15,8 +15,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +74,24 @@ class RunFolder:
                 "or another folder with -o."
             )
         self._require_writable()
-        self._remove_leftovers()
         return self.checkpoint.exists()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """The folder for this process alone; what a killed one left half-written is removed.
+
+        Raises:
+            InputError: another process trains in it.
+        """
+        with open(self.path / "run.json", encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"{self.path}: another process is training in this folder; wait for it, or choose another with -o."
+                ) from None
+            self._remove_leftovers()
+            yield
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         write_torch_file(self.checkpoint, state)

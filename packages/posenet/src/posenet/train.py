@@ -61,10 +61,10 @@ def fit(options: FitOptions) -> RunFolder:
         _load_backbone(network, options.backbone_weights)
     run = RunFolder(options.out)
     resuming = run.claim(_identity(options, frames), _made_by(options, frames))
-    trainer = Trainer(network, frames, split, run, options)
-    if resuming:
-        trainer.restore(run.load_checkpoint())
-    with _reproducible(device):
+    with run.locked(), _reproducible(device):
+        trainer = Trainer(network, frames, split, run, options)
+        if resuming:
+            trainer.restore(run.load_checkpoint())
         trainer.train()
     return run
 
