@@ -37,9 +37,10 @@ def apply(pose: ArrayLike, points: ArrayLike) -> Array:
 
 def rotation_angle(rotation_a: ArrayLike, rotation_b: ArrayLike) -> Array:
     """Angle in radians between rotations (..., 3, 3); accurate near 0 and near pi."""
-    a, b = np.asarray(rotation_a, float), np.asarray(rotation_b, float)
-    chord = np.linalg.norm(a - b, axis=(-2, -1))
-    return 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
+    relative = np.swapaxes(np.asarray(rotation_a, float), -1, -2) @ np.asarray(rotation_b, float)
+    sine = np.linalg.norm(relative - np.swapaxes(relative, -1, -2), axis=(-2, -1)) / np.sqrt(8.0)
+    cosine = (np.trace(relative, axis1=-2, axis2=-1) - 1.0) / 2.0
+    return np.asarray(np.arctan2(sine, cosine))
 
 
 def is_rotation(matrix: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
