@@ -244,11 +244,13 @@ class PoseNetwork(nn.Module):
         return {name: torch.stack(parts).mean() for name, parts in sums.items() if parts}
 
     def _ranked(self, scored: _Scored) -> ImagePoses:
-        few = scored.hypotheses
-        logit = scored.logit
-        if scored.registered is not None:
-            # A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own.
-            logit = (logit + scored.registered) / 2 if self.confidence is not None else scored.registered
+        few, logit = scored.hypotheses, self._final_logit(scored)
         order = logit.argsort(descending=True, stable=True)
         few = few.select(order)
         return ImagePoses(few.rotation, few.center, logit[order].sigmoid(), scored.boxes[few.detection], few.detection)
+
+    def _final_logit(self, scored: _Scored) -> Tensor:
+        """A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own."""
+        if scored.registered is None:
+            return scored.logit
+        return (scored.logit + scored.registered) / 2 if self.confidence is not None else scored.registered

@@ -76,5 +76,5 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
     if len(few) == 0:
         raise InputError(f"image '{view.image_id}': the model finds nothing there; give another --frame.")
     scored = network._score_image(outputs, few, detections)
-    final = scored.logit if scored.registered is None else scored.registered
-    return LookedAt(network, view, outputs, few, detections, scored.logit, final.sigmoid().double().numpy())
+    score = network._final_logit(scored).sigmoid().double().numpy()
+    return LookedAt(network, view, outputs, few, detections, scored.logit, score)
