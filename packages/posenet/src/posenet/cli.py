@@ -50,12 +50,11 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     """
     if options["minutes"] is not None and options["epochs"] is not None:
         raise click.UsageError("Give --minutes or --epochs, not both.")
-    from posenet.dataset import Frames
-    from posenet.train import FitOptions
+    from posenet.train import FitOptions, intact_frames
     from posenet.train import fit as train
 
     if out is None:
-        out = Path("runs") / f"{Frames(list(shards)).model.name}-{preset_name}"
+        out = Path("runs") / f"{intact_frames(list(shards)).model.name}-{preset_name}"
     run = train(
         FitOptions(
             shards=list(shards),

@@ -50,7 +50,7 @@ def fit(options: FitOptions) -> RunFolder:
         KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
     """
     device = choose_device(options.device)
-    frames = _intact_frames(options.shards)
+    frames = intact_frames(options.shards)
     config = options.config
     share = config.train.validation_share if options.validate else 0.0
     split = frames.split(share, options.seed, config.train.validation_images)
@@ -69,8 +69,12 @@ def fit(options: FitOptions) -> RunFolder:
     return run
 
 
-def _intact_frames(shards: list[Path]) -> Frames:
-    """The shards' frames, after every byte was checked: better now than as a traceback in the second hour."""
+def intact_frames(shards: list[Path]) -> Frames:
+    """The shards' frames, after every byte was checked: better now than as a traceback in the second hour.
+
+    Raises:
+        InputError: a shard is missing, damaged, of another schema, or does not belong with the first.
+    """
     for path in list_shards(shards):
         problem = checksum_problem(path)
         if problem:
