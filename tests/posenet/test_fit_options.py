@@ -18,9 +18,10 @@ from evalkit.shards import USER_BLOCK, ShardReader, ShardWriter, list_shards
 from posenet import backbone, losses, trainer
 from posenet.config import TASKS, Config, preset, with_options
 from posenet.dataset import Frames
+from posenet.fit_options import FitOptions
 from posenet.network import PoseNetwork
 from posenet.predict import Predictor
-from posenet.train import FitOptions, fit
+from posenet.train import fit
 
 
 def options(shards: Path, out: Path, config: Config | None = None, **rest: object) -> FitOptions:

@@ -20,9 +20,10 @@ from evalkit.errors import InputError
 from evalkit.shards import USER_BLOCK, list_shards
 from posenet import dataset, trainer
 from posenet.config import preset, with_options
+from posenet.fit_options import FitOptions
 from posenet.model_file import load_model, read_torch_file
 from posenet.run_folder import RunFolder
-from posenet.train import FitOptions, fit
+from posenet.train import fit
 from posenet.trainer import Trainer
 
 

@@ -15,9 +15,10 @@ from evalkit.errors import InputError
 from posenet import trainer
 from posenet.config import Config, preset, with_options
 from posenet.dataset import Frames
+from posenet.fit_options import FitOptions
 from posenet.model_file import load_model
 from posenet.schedule import Budget, learning_rate_factor
-from posenet.train import FitOptions, fit
+from posenet.train import fit
 from posenet.trainer import Trainer
 from posenet.validation import validate
 

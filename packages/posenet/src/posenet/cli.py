@@ -50,8 +50,9 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     """
     if options["minutes"] is not None and options["epochs"] is not None:
         raise click.UsageError("Give --minutes or --epochs, not both.")
-    from posenet.train import FitOptions, intact_frames
+    from posenet.fit_options import FitOptions
     from posenet.train import fit as train
+    from posenet.train import intact_frames
 
     if out is None:
         out = Path("runs") / f"{intact_frames(list(shards)).model.name}-{preset_name}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,30 +14,13 @@ from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
 from evalkit.shards import checksum_problem, list_shards
 from posenet.backbone import load_vgg16_weights
-from posenet.config import Config
 from posenet.dataset import Frames
 from posenet.device import choose_device
+from posenet.fit_options import FitOptions
 from posenet.network import PoseNetwork
 from posenet.provenance import data_hash, git_version, shard_hashes, software_versions
 from posenet.run_folder import RunFolder
-from posenet.trainer import CHECKPOINT_SECONDS, Trainer
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """What to train on, how long, and where to put it."""
-
-    shards: list[Path]
-    out: Path
-    config: Config
-    minutes: float | None = None
-    epochs: int | None = None
-    device: str = "auto"
-    seed: int = 0
-    validate: bool = True
-    backbone_weights: Path | None = None  # ImageNet's VGG16, torchvision's file
-    checkpoint_seconds: float = CHECKPOINT_SECONDS
-    command: str = ""  # as typed; noted in the run's folder
+from posenet.trainer import Trainer
 
 
 def fit(options: FitOptions) -> RunFolder:

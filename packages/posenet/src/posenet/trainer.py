@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from posenet.config import Config
 from posenet.dataset import Frames, Split, epoch_order
 from posenet.device import choose_device, supports_bf16
 from posenet.ema import WeightAverage
+from posenet.fit_options import FitOptions
 from posenet.history import ROW_EVERY, History
 from posenet.interruption import Interruption
 from posenet.model_file import save_model
@@ -31,10 +32,6 @@ from posenet.schedule import Budget, learning_rate_factor
 from posenet.validation import validate
 from posenet.validation_picture import draw_validation
 
-if TYPE_CHECKING:
-    from posenet.train import FitOptions
-
-CHECKPOINT_SECONDS = 60.0
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}, {postfix}"
 
 
