@@ -61,7 +61,7 @@ def refuse_unknown(options: dict[str, Any], known: set[str], asked: str) -> None
     """
     for name, value in options.items():
         if value is not None and name not in known:
-            takes = ", ".join(sorted(map(option_name, known))) or "no option"
+            takes = ", ".join(sorted(map(option_name, known))) or "none of these options"
             raise InputError(f"{option_name(name)} means nothing with {asked}, which takes {takes}.")
 
 

@@ -6,7 +6,6 @@ in all its rows, -1 where not known.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.bop_object import METRES
-from evalkit.adapters.fields import checked_poses, image_id
+from evalkit.adapters.fields import checked_poses, csv_rows, image_id
 from evalkit.atomic import atomic_path
 from evalkit.documents import PredictionImage, Predictions
 from evalkit.errors import InputError
@@ -85,15 +84,10 @@ def write_predictions(path: Path, predictions: Predictions, *, object_id: int | 
 
 
 def _rows(path: Path) -> Iterator[_Row]:
-    with open(path, encoding="utf-8", errors="replace", newline="") as file:
-        lines = csv.reader(file)
-        header = next(lines, [])
-        if tuple(word.strip() for word in header) != COLUMNS:
-            raise InputError(f"{path}: the first line must be {','.join(COLUMNS)}.")
-        try:
-            yield from (_row(path, lines.line_num, words) for words in lines if words)
-        except csv.Error as error:
-            raise InputError(f"{path}: line {lines.line_num}: {error}.") from None
+    lines = csv_rows(path)
+    if tuple(next(lines, (0, []))[1]) != COLUMNS:
+        raise InputError(f"{path}: the first line must be {','.join(COLUMNS)}.")
+    return (_row(path, line, words) for line, words in lines)
 
 
 def _row(path: Path, line: int, words: list[str]) -> _Row:

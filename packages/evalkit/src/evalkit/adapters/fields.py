@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,6 +49,21 @@ def checked_poses(rotation: ArrayLike, translation: ArrayLike, place: Callable[[
         if not holds.all():
             raise InputError(f"{place(int(np.flatnonzero(~holds)[0]))}: {complaint}.")
     return poses.from_rotation_translation(rotation, translation)
+
+
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """The lines of a CSV file that are not empty: their number and their words.
+
+    Raises:
+        InputError: a line is no CSV.
+        OSError: the file cannot be read.
+    """
+    with open(path, encoding="utf-8-sig", errors="replace", newline="") as file:
+        lines = csv.reader(file)
+        try:
+            yield from ((lines.line_num, [word.strip() for word in words]) for words in lines if words)
+        except csv.Error as error:
+            raise InputError(f"{path}: line {lines.line_num}: {error}.") from None
 
 
 def image_id(scene: int, image: int) -> str:

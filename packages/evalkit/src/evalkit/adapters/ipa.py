@@ -11,7 +11,6 @@ files like these with a score in the last column.
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
-from evalkit.adapters.fields import checked_poses, image_id, numbers
+from evalkit.adapters.fields import checked_poses, csv_rows, image_id, numbers
 from evalkit.camera import Camera
 from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions, load_json
 from evalkit.errors import InputError
@@ -169,15 +168,16 @@ def _image_name(path: Path, root: Path) -> str:
 
 def _read_table(path: Path) -> _Table:
     rows, places = [], []
-    with open(path, encoding="utf-8", errors="replace", newline="") as file:
-        lines = csv.reader(file)
-        header = [word.strip() for word in next(lines, [])]
-        if len(header) < FEWEST_COLUMNS or header[0] != "id":
-            raise InputError(f"{path}: the first line must name the columns id, class, x, y, z, 9 of the rotation, …")
-        for words in lines:
-            if words and (row := _row(path, lines.line_num, words, len(header))) is not None:
-                rows.append(row)
-                places.append(lines.line_num)
+    lines = csv_rows(path)
+    header = next(lines, (0, []))[1]
+    if len(header) < FEWEST_COLUMNS or header[0] != "id":
+        raise InputError(
+            f"{path}: the first line must name the columns: id, class, x, y, z, nine of the rotation, visibility."
+        )
+    for line, words in lines:
+        if (row := _row(path, line, words, len(header))) is not None:
+            rows.append(row)
+            places.append(line)
     values = np.array(rows).reshape(-1, NUMBERS + 1)
     rotation = values[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)  # column by column
     in_ipa = checked_poses(rotation, values[:, :3], lambda i: f"{path}: line {places[i]}: the pose")

@@ -3,7 +3,9 @@
 From the depth images: an instance's silhouette is that of its surface alone, the part beyond the frame included; a
 pixel of it is visible where no other annotated instance is nearer, the depth image has a return, and that return is
 not more than 15 mm nearer than the surface (Hodaň et al. 2016, "On evaluation of 6D object pose estimation", whose
-tolerance BOP took over). The surface is drawn as points, dense enough that few pixels are missed.
+tolerance BOP took over). The surface is drawn as points, dense enough that few pixels are missed. As a pixel counts
+where the surface touches it and not only its centre, shares come out a little low: by 0.009 on 192 bunnies at 640 x
+480, by 0.03 at most.
 """
 
 from __future__ import annotations
