@@ -9,7 +9,8 @@ import pytest
 
 from evalkit import GroundTruth, GroundTruthImage, PredictionImage, Predictions, average_precision, poses
 from evalkit.breakdown import by_criterion, by_threshold, by_visibility, image_rows, pose_errors
-from evalkit.evaluation import Settings, Subject
+from evalkit.evaluation import Subject
+from evalkit.rules import Settings
 
 RULES = [{}, {"protocol": "coco"}, {"threshold": 0.05, "min_visibility": 0.3}, {"max_results": 3}]
 

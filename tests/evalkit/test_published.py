@@ -16,7 +16,7 @@ from evalkit.published import TABLES, closest_table, conditions
 
 @pytest.fixture
 def result(plain_model, make_crowd):
-    return average_precision(*make_crowd(replace(plain_model, name="bunny"), 0))
+    return average_precision(*make_crowd(replace(plain_model, name="bunny"), 0), protocol="sileane-toolbox")
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.key)
@@ -64,7 +64,7 @@ def test_images_of_our_simulation_are_said_to_differ(result):
     ("change", "differs"),
     [
         ({"threshold": 0.05}, "criterion"),
-        ({"criterion": "add"}, "criterion"),
+        ({"criterion": "add", "protocol": "sileane"}, "criterion"),
         ({"min_visibility": 0.4}, "instances to find"),
         ({"protocol": "coco"}, "protocol"),
         ({"max_results": 5}, "protocol"),
@@ -76,6 +76,11 @@ def test_other_rules_are_said_to_differ(result, change, differs):
 
     assert holds(result)[differs] is True
     assert holds(replace(result, settings=replace(result.settings, **change)))[differs] is False
+
+
+def test_a_sym_that_is_not_the_toolbox_s_own_is_not_said_to_be_the_same(result):
+    ours = replace(result, settings=replace(result.settings, protocol="sileane"))
+    assert {c.subject: c.holds for c in conditions(TABLES[0], ours)}["protocol"] is None
 
 
 def test_another_object_is_said_to_differ(result):

@@ -186,17 +186,13 @@ def test_the_table_of_images_is_worst_first_and_names_the_pictures(folder, docum
     assert len({row["overlay"] for row in rows} - {""}) == 4
 
 
-def test_another_run_with_fewer_pictures_leaves_none_of_the_old_ones(documents, shards, tmp_path):
-    for count in (5, 2):
+def test_another_run_gives_the_same_page_and_leaves_no_picture_of_the_one_before(documents, shards, tmp_path):
+    pages = []
+    for count in (1, 2, 1):
         save_report(tmp_path / "r.html", *documents, shards, count)
-    assert len(list((tmp_path / "r_figures").glob("overlay-*.png"))) == 2
-
-
-def test_the_same_input_gives_the_same_page(documents, tmp_path):
-    for name in ("a", "b"):
-        save_report(tmp_path / name / "report.html", *documents)
-    first, second = ((tmp_path / name / "report.html").read_bytes() for name in ("a", "b"))
-    assert first == second
+        pages.append((tmp_path / "r.html").read_bytes())
+    assert pages[0] == pages[2] != pages[1]
+    assert len(list((tmp_path / "r_figures").glob("overlay-*.png"))) == 1
 
 
 def test_the_published_table_stands_beside_ours_with_a_warning(page):
@@ -234,8 +230,8 @@ def crowd_of(model, counts, hypotheses):
 
 @pytest.mark.parametrize(
     ("counts", "hypotheses"),
-    [([2, 1], [None, None]), ([2], [0]), ([0, 0], [0, 0]), ([0], [3]), ([1], [1]), ([0], [None])],
-    ids=["no prediction", "no hypothesis", "nothing there", "nothing to find", "one and found", "nothing at all"],
+    [([2, 1], [None, None]), ([0, 0], [0, 3]), ([1], [1]), ([0], [None])],
+    ids=["nothing predicted", "nothing to find", "one, and found", "nothing at all"],
 )
 def test_little_or_nothing_still_makes_a_sensible_page(plain_model, tmp_path, counts, hypotheses):
     save_report(tmp_path / "r.html", *crowd_of(plain_model, counts, hypotheses))
@@ -245,7 +241,7 @@ def test_little_or_nothing_still_makes_a_sensible_page(plain_model, tmp_path, co
 
 
 @pytest.mark.parametrize("rules", [
-    {"protocol": "coco"}, {"protocol": "sileane-toolbox"}, {"criterion": "mspd"}, {"min_visibility": -1.0},
+    {"protocol": "coco", "criterion": "mspd"}, {"protocol": "sileane-toolbox", "min_visibility": -1.0},
     {"criterion": "adds", "threshold": 0.2, "max_results": 1},
 ], ids=str)  # fmt: skip
 def test_a_page_is_made_by_any_rules(documents, tmp_path, rules):

@@ -11,7 +11,7 @@ from evalkit import poses
 from evalkit.distances import CRITERIA, Sym
 from evalkit.documents import Predictions
 from evalkit.errors import InputError
-from evalkit.evaluation import Result, Settings, Subject
+from evalkit.evaluation import Result, Subject
 from evalkit.matching import (
     DUPLICATE,
     FALSE,
@@ -24,6 +24,7 @@ from evalkit.matching import (
     within,
 )
 from evalkit.objects import ObjectModel
+from evalkit.rules import Settings
 
 Array = NDArray[np.float64]
 LADDER = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)  # of a criterion's own threshold

@@ -197,8 +197,7 @@ def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
         name="ap_by_visibility",
         title="AP by visibility",
         caption="Only the instances of a bin (numbers on top) are asked for, in the images that show one; a hypothesis "
-        "on any other is ignored, but a false one counts in every bin. Diamonds: share found by any hypothesis, false "
-        "ones or not.",
+        "on any other is ignored, but a false one counts in every bin. Diamonds: share found, whatever the score.",
         columns=("low", "high", "instances", "ap", "found"),
         rows=[(entry.low, entry.high, entry.instances, entry.ap, entry.recall) for entry in bins],
         draw=draw,

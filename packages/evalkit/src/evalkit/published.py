@@ -138,17 +138,20 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     column = table.column_of(result.object_name)
     criterion = rules.criterion == table.criterion and abs(rules.threshold - THRESHOLD_KEPT) < 1e-9
     visibility = None if table.min_visibility is None else abs(rules.min_visibility - table.min_visibility) < 1e-9
-    protocol = rules.protocol.startswith("sileane") and rules.max_results is None
+    protocol = None if rules.protocol == "sileane" else rules.protocol == "sileane-toolbox"
     simulated = any(OUR_IMAGE_ID.fullmatch(name) for name in result.image_ids)
     here = "rendered by simgen" if simulated else "their origin is not recorded in gt.json"
     stated = NOT_STATED if table.min_visibility is None else f"at least {100 * table.min_visibility:g} % visible"
     best = "" if rules.max_results is None else f", the best {rules.max_results} of an image"
+    exact = "; the authors' toolbox has another Sym, see --protocol sileane-toolbox" if protocol is None else ""
     return [
         Condition("images", table.images, f"{len(result.image_ids)}, {here}", False if simulated else None),
-        Condition("object", ", ".join(table.columns), result.object_name, None if column is not None else False),
+        Condition(
+            "object", ", ".join(table.columns), f"{result.object_name}, by name", False if column is None else None
+        ),
         Condition("criterion", table.measure, f"{rules.criterion} at most {rules.threshold:g}", criterion),
         Condition("instances to find", stated, f"at least {100 * rules.min_visibility:g} % visible", visibility),
-        Condition("protocol", PROTOCOL, f"{rules.protocol}{best}", protocol if table.criterion == "sym" else None),
+        Condition("protocol", PROTOCOL, f"{rules.protocol}{best}{exact}", False if best else protocol),
     ]
 
 

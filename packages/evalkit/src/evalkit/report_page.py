@@ -88,19 +88,20 @@ def render(content: Content) -> str:
 def _header(content: Content) -> str:
     result = content.result
     tiles = [
-        _tile("MAP, mean of the images' AP", f"{result.map:.3f}", _interval(content, "map")),
+        _tile("MAP, mean over images", f"{result.map:.3f}", _interval(content, "map")),
         _tile("best F1", f"{result.best_f1:.3f}", _interval(content, "best_f1")),
         _tile("recall at precision 0.99", f"{result.recall_at_precision_99:.3f}"),
         _tile("recall at precision 0.50", f"{result.recall_at_precision_50:.3f}"),
         _tile("images", f"{result.counts['images']:,}", _images_in_words(content)),
         _tile("instances to find", f"{result.counts['instances_to_find']:,}", f"of {result.counts['instances']:,}"),
     ]
-    criterion = rule(result.settings.criterion, result.settings.threshold)
+    criterion = escape(rule(result.settings.criterion, result.settings.threshold))
+    asked = f"instances at least {100 * result.settings.min_visibility:g} % visible"
     return f"""<header>
 <p class="kicker">How good are these 6D poses? A report by evalkit {escape(evalkit_version())}</p>
 <h1>{escape(result.object_name)}</h1>
-<p class="lead"><strong>AP {result.ap:.3f}</strong> <span>{escape(criterion)}, instances at least
-{100 * result.settings.min_visibility:g} % visible, protocol {result.settings.protocol}<br>{_ap_interval(content)}</span></p>
+<p class="lead"><strong>AP {result.ap:.3f}</strong>
+<span>{criterion}, {asked}, protocol {result.settings.protocol}<br>{_ap_interval(content)}</span></p>
 <nav><a href="#figures">Figures</a> <a href="#images">Images</a> <a href="#published">Published results</a>
 <a href="#protocol">Protocol, counts, hashes</a></nav>
 <dl class="tiles">{"".join(tiles)}</dl>
@@ -120,7 +121,7 @@ def _interval(content: Content, key: str) -> str:
 def _ap_interval(content: Content) -> str:
     if not content.intervals:
         return "One scene: no interval can be given."
-    return f"{LEVEL:.0%} interval {_interval(content, 'ap')}, by bootstrap over {content.scenes:,} scenes"
+    return f"{100 * LEVEL:g} % interval {_interval(content, 'ap')}, by bootstrap over {content.scenes:,} scenes"
 
 
 def _images_in_words(content: Content) -> str:
