@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from evalkit.objects import sample_surface_with_normals, surface_moments
 
 Array = NDArray[np.float64]
-SAMPLES = 60_000
+SAMPLES = 40_000
 NEIGHBOURS = 4
 GRID_CELLS = 96
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 TYPICAL_TOLERANCE = 0.024  # of the lever: 99 of 100 turned points are nearer to the surface than this
 WORST_TOLERANCE = 0.036  # and all but a handful nearer than this: 1.8 % of a round object's diameter
 HANDFUL = 6  # samples that may deviate more: near-misses of the sampled surface
-DENSE = 40_000  # surface points of a final verification
+DENSE = 24_000  # surface points of a final verification
 ROUGH_LIMIT = 0.12  # mean rough distance beyond which a direction is not worth refining
 SNAP_ANGLE = np.radians(1.0)
 
@@ -178,23 +178,33 @@ def snapped(surface: Surface, candidate: SymmetryCandidate) -> SymmetryCandidate
     if frame is None:
         return candidate
     straight = verify(surface, Symmetry.parse(candidate.symmetry.name, frame), surface.points[:DENSE])
-    return straight if straight.excess <= 1.1 * candidate.excess + 0.02 else candidate
+    as_good = straight.typical <= 1.1 * candidate.typical and straight.excess <= max(1.0, candidate.excess)
+    return straight if as_good else candidate
 
 
 def _nearest_axes(symmetry: Symmetry) -> Array | None:
-    """A coordinate frame (3, 3) within SNAP_ANGLE of one that describes the same group; the plainest of them."""
-    coordinate_frames = Symmetry.parse("octahedral").rotations
+    """A frame (3, 3) near one of the group's that lies on the coordinate axes, wholly or by its main axis alone."""
+    coordinate_frames = np.round(Symmetry.parse("octahedral").rotations)
+    plainness = 10 * coordinate_frames[:, :, 2].sum(1) + np.trace(coordinate_frames, axis1=1, axis2=2)
+    along = coordinate_frames[:, :, 2] @ symmetry.axis > np.cos(SNAP_ANGLE)
     if symmetry.kind == "revolution" or symmetry.name.startswith("cyclic"):
-        near = np.abs(coordinate_frames[:, :, 2] @ symmetry.axis) > np.cos(SNAP_ANGLE)
+        near = along | (coordinate_frames[:, :, 2] @ symmetry.axis < -np.cos(SNAP_ANGLE))
     else:
-        kind, _, fold = symmetry.name.partition(":")
-        normaliser = {"dihedral": f"dihedral:{2 * int(fold or 1)}", "tetrahedral": "octahedral"}.get(
-            kind, symmetry.name
-        )
-        same_group = symmetry.obj_from_sym @ Symmetry.parse(normaliser).rotations
+        same_group = symmetry.obj_from_sym @ Symmetry.parse(_normaliser(symmetry.name)).rotations
         near = poses.rotation_angle(same_group[:, None], coordinate_frames).min(0) < SNAP_ANGLE
-    plainness = np.where(near, np.trace(coordinate_frames, axis1=1, axis2=2), -np.inf)
-    return coordinate_frames[plainness.argmax()] if near.any() else None
+    if near.any():
+        return coordinate_frames[np.where(near, plainness, -np.inf).argmax()]
+    if along.any():
+        return poses.rotation_between(symmetry.axis, coordinate_frames[along.argmax(), :, 2]) @ symmetry.obj_from_sym
+    return None
+
+
+def _normaliser(name: str) -> str:
+    """The group of the turns of its frame that leave a finite group as it is."""
+    kind, _, fold = name.partition(":")
+    if name in ("tetrahedral", "dihedral:2"):
+        return "octahedral"
+    return f"dihedral:{2 * int(fold)}" if kind == "dihedral" else name
 
 
 def about(name: str, axis: Array) -> Symmetry:
