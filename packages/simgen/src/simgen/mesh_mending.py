@@ -129,8 +129,8 @@ def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> Fa
 
 def _wound_alike(faces: Faces) -> bool:
     """No directed edge belongs to two faces."""
-    directed = _pack(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]))
-    return len(np.unique(directed)) == len(directed)
+    directed = np.sort(_pack(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])))
+    return bool((np.diff(directed) != 0).all())
 
 
 def _directed_edges(faces: Faces) -> tuple[Faces, NDArray[np.int64], NDArray[np.int64]]:
