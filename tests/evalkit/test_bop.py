@@ -194,6 +194,14 @@ def test_without_a_mesh_the_box_stands_in_and_it_is_said(split):
     assert any("box" in remark for remark in truth.remarks)
 
 
+@pytest.mark.parametrize("size", [1e155, 0.06, "wide"])
+def test_a_box_of_no_parts_size_is_refused(split, size):
+    (split.parent / "models" / "obj_000001.ply").unlink()
+    edit(split.parent / "models" / "models_info.json", lambda d: d["1"].update(size_x=size, size_y=size, size_z=size))
+    with pytest.raises(InputError, match=r"models_info\.json"):
+        bop.read_ground_truth(split, object_id=1)
+
+
 def test_another_mesh_and_symmetry_may_be_given(split, tmp_path):
     write_box(tmp_path / "own.ply")
     own = {"mesh": tmp_path / "own.ply", "units": "mm", "symmetry": "none"}

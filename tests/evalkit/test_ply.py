@@ -135,7 +135,7 @@ def test_units_are_said_and_checked(tmp_path):
     path.write_bytes(stl_bytes(False))
     with pytest.raises(InputError, match="--units"):
         load_object(path, None)
-    with pytest.raises(InputError, match=r"pyramid\.stl.*read in mm"):
+    with pytest.raises(InputError, match=r"pyramid\.stl.*read in mm.*check the unit"):
         load_object(path, "mm", "none")
     model = load_object(path, "inch", "none")
     assert (model.name, model.notes["units"]) == ("pyramid", "inch")

@@ -60,9 +60,18 @@ def load_object(path: Path, units: str | None, symmetry: str | None = None, name
         raise InputError(f"{path}: say the mesh's unit: --units {', '.join(METRES)}.")
     vertices, faces = read_mesh(path)
     vertices = vertices * METRES[units]
-    side = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
-    if not POSSIBLE[0] <= side <= POSSIBLE[1]:
-        raise InputError(f"{path}: is {side:.4g} m across when read in {units}, which cannot be; check --units.")
+    check_size(vertices[np.unique(faces)], f"{path}: read in {units}, the object")
     group = resolve_symmetry(vertices, faces, symmetry or "auto").symmetry
     notes = {"mesh": path.name, "mesh_sha256": sha256_of_file(path), "units": units}
     return ObjectModel.from_mesh(name or path.stem, vertices, faces, group, **notes)
+
+
+def check_size(vertices: NDArray[np.float64], what: str) -> None:
+    """Vertices (V, 3) in metres must span a size that a part can have; millimetres read as metres do not.
+
+    Raises:
+        InputError: they do not.
+    """
+    side = float(np.ptp(vertices, axis=0).max())
+    if not POSSIBLE[0] <= side <= POSSIBLE[1]:
+        raise InputError(f"{what} is {side:.4g} m across, which no part is; check the unit.")

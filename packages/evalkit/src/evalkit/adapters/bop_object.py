@@ -18,7 +18,7 @@ from evalkit import poses
 from evalkit.adapters.fields import numbers
 from evalkit.documents import load_json
 from evalkit.errors import InputError
-from evalkit.mesh_files import load_object, read_mesh
+from evalkit.mesh_files import check_size, load_object
 from evalkit.objects import THRESHOLD_RATIO, ObjectModel
 from evalkit.symmetry import Symmetry
 from evalkit.symmetry_detection import resolve_symmetry
@@ -59,8 +59,7 @@ def read_object(
     if mesh is not None:
         model = load_object(mesh, units, "none", name)
     elif own_mesh is not None and own_mesh.is_file():
-        vertices, faces = read_mesh(own_mesh)
-        model = ObjectModel.from_mesh(name, vertices * METRES, faces, mesh=f"{own_mesh.parent.name}/{own_mesh.name}")
+        model = load_object(own_mesh, "mm", "none", name)
     elif info:
         model = _box(name, info, where)
         remarks.append(f"{where} stands in for the mesh: the object is taken for its box; give --mesh for its shape.")
@@ -105,6 +104,7 @@ def _box(name: str, info: dict[str, Any], where: str) -> ObjectModel:
     low = np.array([float(numbers(info, f"min_{axis}", (), where)) for axis in "xyz"]) * METRES
     size = np.array([float(numbers(info, f"size_{axis}", (), where)) for axis in "xyz"]) * METRES
     corners = low + size * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    check_size(corners, f"{where}: the box of min and size")
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     model = ObjectModel.from_mesh(name, corners, triangles, mesh="the box of models_info.json")
