@@ -148,7 +148,7 @@ def test_the_page_says_rules_counts_versions_and_hashes(page, folder, documents)
     words = " ".join("".join(Checked(page).words).split())
     assert result.protocol in words
     assert f"AP {result.ap:.3f}" in words
-    assert f"{result.counts['instances']}, {result.counts['instances_to_find']} of them to find" in words
+    assert f"{result.counts['instances']}; to find: {result.counts['instances_to_find']}" in words
     for name in ("preds.json", "gt.json"):
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() in words
 

@@ -149,25 +149,23 @@ def ap_by_threshold(ladder: list[tuple[float, float]], result: Result) -> Chart:
 
 
 def ap_by_criterion(found: list[CriterionAp]) -> Chart:
-    known = [entry for entry in found if entry.ap is not None]
-    absent = " ".join(f"No {CRITERIA[entry.criterion].title}: {entry.reason}" for entry in found if entry.ap is None)
-
     def draw(axes: Axes) -> None:
-        values = [entry.ap or 0.0 for entry in known]
-        labels = [rule(entry.criterion, entry.threshold) for entry in known]
-        axes.barh(labels, values, color=LINE, height=0.6)
-        for row, value in enumerate(values):
-            axes.text(value + 0.01, row, f"{value:.3f}", va="center", color=INK)
+        axes.barh([rule(e.criterion, e.threshold) for e in found], [e.ap or 0.0 for e in found], color=LINE, height=0.6)
+        for row, entry in enumerate(found):
+            words = "not computed" if entry.ap is None else f"{entry.ap:.3f}"
+            axes.text((entry.ap or 0.0) + 0.01, row, words, va="center", color=INK)
         axes.set(xlim=(0, 1.12), xticks=np.linspace(0, 1, 6), xlabel="AP")
         axes.invert_yaxis()
         tidy(axes)
         axes.grid(axis="y", visible=False)
 
+    reasons = dict.fromkeys(entry.reason for entry in found if entry.ap is None)
     return Chart(
         name="ap_by_criterion",
         title="AP by criterion",
         caption="The same poses by other distances, each at its own threshold (d: diameters, px: pixels of an image "
-        f"640 px wide). AP of one criterion says nothing against AP of another. {absent}".strip(),
+        "640 px wide). AP of one criterion says nothing against AP of another."
+        + "".join(f" Not computed: {reason}" for reason in reasons),
         columns=("criterion", "threshold", "ap"),
         rows=[(entry.criterion, entry.threshold, entry.ap) for entry in found],
         draw=draw,
@@ -240,8 +238,8 @@ def _error_histogram(kind: str, unit: str, error: Array, most: float, errors: Po
     return Chart(
         name=f"{kind}_errors",
         title=f"{kind.capitalize()} error",
-        caption=_spread_in_words(error[errors.right], unit) + f" Of {errors.instances} instances to find, {len(error)} "
-        "have a nearest hypothesis within half a diameter, at the score of the best F1 or above.",
+        caption=_spread_in_words(error[errors.right], unit) + " At the score of the best F1 or above, a "
+        f"hypothesis lies within half a diameter of {len(error)} of the instances to find ({errors.instances}).",
         columns=("low", "high", *(name.replace(" ", "_") for name in counts)),
         rows=_binned(edges, *counts.values()),
         draw=draw,

@@ -140,12 +140,12 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     visibility = None if table.min_visibility is None else abs(rules.min_visibility - table.min_visibility) < 1e-9
     protocol = None if rules.protocol == "sileane" else rules.protocol == "sileane-toolbox"
     simulated = any(OUR_IMAGE_ID.fullmatch(name) for name in result.image_ids)
-    here = "rendered by simgen" if simulated else "their origin is not recorded in gt.json"
+    here = "rendered by simgen" if simulated else "gt.json does not say whose"
     stated = NOT_STATED if table.min_visibility is None else f"at least {100 * table.min_visibility:g} % visible"
     best = "" if rules.max_results is None else f", the best {rules.max_results} of an image"
     exact = "; the authors' toolbox has another Sym, see --protocol sileane-toolbox" if protocol is None else ""
     return [
-        Condition("images", table.images, f"{len(result.image_ids)}, {here}", False if simulated else None),
+        Condition("images", table.images, f"{len(result.image_ids):,} images, {here}", False if simulated else None),
         Condition(
             "object", ", ".join(table.columns), f"{result.object_name}, by name", False if column is None else None
         ),

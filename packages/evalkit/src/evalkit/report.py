@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from evalkit import breakdown, charts
 from evalkit.atomic import atomic_path, write_text
-from evalkit.bootstrap import Interval, intervals, scene_numbers
+from evalkit.bootstrap import intervals, scene_numbers
 from evalkit.breakdown import ImageRow
 from evalkit.charts import Chart, write_csv
 from evalkit.documents import GroundTruth, Predictions
@@ -22,6 +23,7 @@ from evalkit.shards import ShardDataset
 
 SUFFIXES = (".html", ".htm")
 RESAMPLES = 1000
+FEWEST_SCENES = 10  # resamples of fewer say little about chance
 Shards = Path | str | Sequence[Path | str]
 
 
@@ -49,14 +51,14 @@ def save_report(
     result = average_precision(predictions, truth, **rules)
     confident = Confident.cut(predictions, truth, result)
     rows = breakdown.image_rows(result, confident.result, predictions)
-    found = _intervals(result)
+    scenes = len(np.unique(scene_numbers(result.image_ids)))
     content = Content(
         object=truth.object,
         result=result,
         confident=confident.result,
         score=confident.score,
-        intervals=found,
-        scenes=int(scene_numbers(result.image_ids).max()) + 1,
+        intervals=intervals(result, RESAMPLES) if scenes >= FEWEST_SCENES else {},
+        scenes=scenes,
         charts=_charts(predictions, truth, result, confident),
         rows=rows,
         overlays=[] if shards is None else _overlays(shards, confident, rows, count),
@@ -72,10 +74,6 @@ def save_report(
 def figures_folder(path: Path | str) -> Path:
     """Where the figures of the page at `path` go."""
     return Path(path).with_name(f"{Path(path).stem}_figures")
-
-
-def _intervals(result: Result) -> dict[str, Interval]:
-    return intervals(result, RESAMPLES) if scene_numbers(result.image_ids).any() else {}
 
 
 def _charts(predictions: Predictions, truth: GroundTruth, result: Result, confident: Confident) -> list[Chart]:

@@ -43,7 +43,7 @@ class Content:
 
     Attributes:
         result: of all hypotheses; `confident`: of those with at least `score`, where F1 is best.
-        intervals: of AP, MAP and best F1 over `scenes`; empty where one scene allows none.
+        intervals: of AP, MAP and best F1 over `scenes`; empty where these are too few.
         rows: the images, worst first.
         inputs: names and hashes of the files.
         folder: name of the folder of figures beside the page.
@@ -120,14 +120,17 @@ def _interval(content: Content, key: str) -> str:
 
 def _ap_interval(content: Content) -> str:
     if not content.intervals:
-        return "One scene: no interval can be given."
+        return f"no interval: {_counted(content.scenes, 'scene')} would be too few for one"
     return f"{100 * LEVEL:g} % interval {_interval(content, 'ap')}, by bootstrap over {content.scenes:,} scenes"
 
 
 def _images_in_words(content: Content) -> str:
     missing = len(content.result.missing_images)
-    scenes = f"of {content.scenes:,} scene{'s' if content.scenes > 1 else ''}"
-    return scenes + (f"; {missing:,} without predictions" if missing else "")
+    return f"of {_counted(content.scenes, 'scene')}" + (f"; {missing:,} without predictions" if missing else "")
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _figures(content: Content) -> str:
@@ -234,8 +237,8 @@ def _published(content: Content) -> str:
 {_published_table(table)}
 <div class="run"><h3>This run: {escape(result.object_name)}</h3>
 <strong>AP {result.ap:.3f}</strong>
-{escape(criterion)}, {result.counts["images"]:,} images, {result.counts["instances_to_find"]:,} instances to find.
-{_ap_interval(content)}</div>
+{escape(criterion)}, {_counted(result.counts["images"], "image")},
+{_counted(result.counts["instances_to_find"], "instance")} to find; {_ap_interval(content)}.</div>
 </div>
 <h3 style="margin-top: 1.8rem">What must be the same, and whether it is</h3>
 {_condition_table(conditions)}
@@ -288,12 +291,16 @@ def _protocol(content: Content) -> str:
         ("Rules", escape(result.protocol)),
         ("Object", f"{escape(model.name)}, diameter {1000 * model.diameter:.4g} mm"),
         ("Symmetry", escape(result.symmetry)),
-        ("Images", f"{counts['images']:,}, {counts['images_without_prediction']:,} of them without predictions"),
-        ("Instances", f"{counts['instances']:,}, {counts['instances_to_find']:,} of them to find"),
+        ("Images", f"{counts['images']:,}; without predictions: {counts['images_without_prediction']:,}"),
+        (
+            "Instances",
+            f"{counts['instances']:,}; to find: {counts['instances_to_find']:,}, of them missed by all hypotheses: "
+            f"{counts['missed']:,}",
+        ),
         (
             "Hypotheses",
             f"{counts['hypotheses']:,}: {counts['true']:,} true, {counts['false']:,} false ({counts['duplicates']:,} "
-            f"of them duplicates), {counts['ignored']:,} ignored; {counts['missed']:,} instances missed by all",
+            f"of them duplicates), {counts['ignored']:,} ignored",
         ),
         *((escape(key.replace("_", " ").capitalize()), _input(entry)) for key, entry in content.inputs.items()),
         (
