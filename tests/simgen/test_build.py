@@ -251,7 +251,13 @@ if __name__ == "__main__":
 def building(folder: Path, script: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A build of twenty shards in a process of its own, yielded when two of them are done."""
     script.write_text(COMMAND.format(here=str(Path(__file__).parent), folder=str(folder)))
-    process = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.DEVNULL, start_new_session=True)
+    # A runner in a shell's background ignores Ctrl-C, and so would all that it starts.
+    process = subprocess.Popen(
+        [sys.executable, str(script)],
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     try:
         deadline = time.monotonic() + 120
         while len(list(folder.glob("shard-*.h5"))) < 2:
