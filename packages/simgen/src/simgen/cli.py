@@ -24,7 +24,13 @@ def cli() -> None:
 
 
 @cli.command("build")
-@click.option("--object", "source", required=True, metavar="FILE|NAME", help="Mesh file, or a built-in object: bunny.")
+@click.option(
+    "--object",
+    "source",
+    required=True,
+    metavar="FILE|NAME",
+    help="Mesh file, or bunny, cup, candlestick, pepper, gear, brick, connector or bracket.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="default", show_default=True)
 @click.option("--scenes", type=int, help="Piles to simulate.")
