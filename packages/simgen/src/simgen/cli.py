@@ -66,11 +66,8 @@ def build_command(
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
     job = plan(config, prepared.model, prepared.convex_parts)
-    model = job.model
-    click.echo(
-        f"{model.name}: diameter {model.diameter:.4g} m, symmetry {model.symmetry.name}, "
-        f"{len(prepared.convex_parts)} convex parts; bin {job.bin} m; depth unit {job.depth_unit:g} m"
-    )
+    click.echo(prepared.summary)
+    click.echo(f"Bin {job.bin} m, depth unit {job.depth_unit:g} m.")
     start = time.monotonic()
     report = build(job, output, workers)
     seconds = time.monotonic() - start
