@@ -250,6 +250,15 @@ def test_a_page_is_made_by_any_rules(documents, tmp_path, rules):
     assert f"AP {average_precision(*documents, **rules).ap:.3f}" in words
 
 
+@pytest.mark.parametrize("unit", [-1e308, 1e-320])
+def test_scores_on_any_scale_are_drawn(plain_model, tmp_path, unit):
+    predictions, truth = crowd_of(plain_model, [1], [4])
+    scores = replace(predictions.images[0], score=unit * np.array([1.0, -1.0, 0.5, 0.0]))
+    save_report(tmp_path / "r.html", replace(predictions, images=[scores]), truth)
+    rows = rows_of(tmp_path / "r_figures" / "scores.csv")
+    assert sum(int(row["true"]) + int(row["false"]) for row in rows) == 4
+
+
 def test_long_curves_do_not_make_long_pages(plain_model, tmp_path):
     predictions, truth = crowd_of(plain_model, [1], [9000])
     spread = replace(predictions.images[0], score=np.linspace(0, 1, 9000))

@@ -28,6 +28,7 @@ GREEN, RED, GREY, PALE = "#2f9e44", "#d9413b", "#9aa1a9", "#b9cfe8"
 WIDTH, HEIGHT = 6.4, 4.0  # inches
 SCORE_BINS, ERROR_BINS = 40, 40
 SMALLEST_ERROR = 1e-3  # degrees or millimetres; no camera tells less
+LARGEST_SCORE, LEAST_SCORE_SPAN = 1e15, 1e-9  # beyond and below which no axis can be drawn
 RASTERIZED_FROM = 5000  # points; a drawing of more is smaller as pixels
 
 
@@ -100,9 +101,9 @@ def precision_recall(result: Result) -> Chart:
 def score_histogram(result: Result, score: float) -> Chart:
     """`score`: from which on hypotheses are acted on."""
     kinds = {"true": (TRUE,), "ignored": (IGNORED,), "false": (FALSE, DUPLICATE)}
-    edges = _score_edges(result.crowd.score)
-    outcome = result.matching.outcome
-    counts = {name: np.histogram(result.crowd.score[np.isin(outcome, kind)], edges)[0] for name, kind in kinds.items()}
+    shown, outcome = np.clip(result.crowd.score, -LARGEST_SCORE, LARGEST_SCORE), result.matching.outcome
+    edges = _score_edges(shown)
+    counts = {name: np.histogram(shown[np.isin(outcome, kind)], edges)[0] for name, kind in kinds.items()}
 
     def draw(axes: Axes) -> None:
         for (name, count), color in zip(counts.items(), (GREEN, GREY, RED), strict=True):
@@ -110,7 +111,7 @@ def score_histogram(result: Result, score: float) -> Chart:
                 axes.stairs(count, edges, fill=True, color=color, alpha=0.25)
                 axes.stairs(count, edges, color=color, linewidth=1.6, label=f"{name} ({count.sum()})")
         _log_counts(axes, max(count.max() for count in counts.values()), "no hypotheses")
-        if np.isfinite(score):
+        if edges[0] <= score <= edges[-1]:
             axes.axvline(score, color=INK, linestyle="--", linewidth=1.2)
         axes.set(xlabel="score", ylabel="hypotheses")
 
@@ -261,11 +262,11 @@ def _decade_below(error: Array, most: float) -> float:
 
 
 def _score_edges(score: Array) -> Array:
-    low, high = (score.min(), score.max()) if len(score) else (0.0, 1.0)
-    if low == high:
-        low, high = low - 0.5, high + 0.5
-    share = np.linspace(0.0, 1.0, SCORE_BINS + 1)
-    return np.asarray(low * (1.0 - share) + high * share)
+    low, high = (float(score.min()), float(score.max())) if len(score) else (0.0, 1.0)
+    size = max(abs(low), abs(high), LEAST_SCORE_SPAN)
+    if high - low < LEAST_SCORE_SPAN * size:
+        low, high = low - size / 2, high + size / 2
+    return np.linspace(low, high, SCORE_BINS + 1)
 
 
 def _binned(edges: Array, *counts: NDArray[np.int64]) -> list[tuple[Any, ...]]:
