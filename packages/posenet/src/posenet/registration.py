@@ -22,6 +22,7 @@ RELATION_NAMES = (
     "dx", "dy", "dz", "distance",
 )  # fmt: skip
 SCORE_UNIT = 5.0  # log-odds run over some -15 ... 10; networks like inputs of order one
+LOUDEST_BLOCKS = 4  # deeper networks start no louder than this many blocks do
 MAX_NEIGHBOURS = 128  # a bound on memory in a heap of thousands; an ordinary bin stays well below
 
 
@@ -140,6 +141,10 @@ class JointRegistration(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+        # Each block about doubles what it adds to; sixteen of them would start at logits of 100,000.
+        for module in self.modules():
+            if isinstance(module, GossipBlock):
+                module.tell.weight.data.mul_(min(1.0, LOUDEST_BLOCKS / blocks) ** 2)
 
     def forward(self, relations: Relations, features: Tensor | None = None) -> Tensor:
         """Logits (n,), float32, from relations and, where the network was built for them, features (n, features)."""
@@ -166,7 +171,8 @@ class GossipBlock(nn.Module):
         self.other = nn.Linear(pair_width, hidden, bias=False)
         self.relation = nn.Linear(pair_width, hidden, bias=False)
         self.message = _fully_connected(hidden, hidden)
-        self.digest = nn.Sequential(_fully_connected(hidden, hidden), nn.Linear(hidden, width))
+        self.digest = _fully_connected(hidden, hidden)
+        self.tell = nn.Linear(hidden, width)
 
     def forward(self, state: Tensor, relation: Tensor, pairs: Tensor, counts: Tensor) -> Tensor:
         """state (n, width), relation (P, pair_width), pairs (P, 2), pairs of each (n,) -> state (n, width)."""
@@ -174,7 +180,7 @@ class GossipBlock(nn.Module):
         reduced = self.reduce(state)
         heard = self.own(reduced)[listener] + self.other(reduced)[neighbour] + self.relation(relation)
         strongest = max_by_listener(self.message(F.relu(heard)), counts)
-        return F.relu(state + self.digest(strongest))
+        return F.relu(state + self.tell(self.digest(strongest)))
 
 
 def max_by_listener(messages: Tensor, counts: Tensor) -> Tensor:
