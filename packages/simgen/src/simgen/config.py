@@ -54,7 +54,7 @@ class PhysicsConfig:
     linear_damping: float = 0.5  # share of the speed lost in a second
     angular_damping: float = 0.9
     quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
-    quiet_motion: float = 2e-4  # metres, of any instance's centre or ends of axes
+    quiet_motion: float = 4e-4  # metres, of any instance's centre or ends of axes
     max_seconds: float = 8.0
     max_attempts: int = 20
 
