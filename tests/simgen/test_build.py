@@ -188,6 +188,7 @@ def run(*arguments: str) -> Result:
         (["--workers", "0"], "--workers 0"),
         (["--bin", "0.05x0.05x0.05"], "--bin 0.05x0.05x0.05: the object 'bunny' is"),
         (["--bin", "small"], "--bin small"),
+        (["--instances", "500", "--bin", "0.2x0.2x0.1"], "500 instances of 'bunny' do not fit"),
         (["--width", "0"], "0 x 120 pixels"),
         (["--camera", "nowhere.json"], "nowhere.json does not exist"),
         (["--camera", __file__], "not a JSON file"),

@@ -52,7 +52,7 @@ def test_every_instance_lies_in_the_bin_and_above_its_floor(shape: str) -> None:
         points = points_in_world(shape, pile)
         size = bin_of(shape)
         assert 4 <= len(pile.world_from_obj) <= 6
-        assert points[..., 2].min() > -2e-4
+        assert points[..., 2].min() > -5e-4
         assert (np.abs(points.mean(1)[:, 0]) < size.width / 2).all()
         assert (np.abs(points.mean(1)[:, 1]) < size.depth / 2).all()
         assert points[..., 2].min(1).min() < 1e-3, "somebody must lie on the floor"
@@ -105,7 +105,7 @@ def test_scenes_differ_and_so_do_seeds() -> None:
 @pytest.mark.parametrize("scale", [0.02, 20.0])
 def test_a_screw_and_a_car_door_pile_up_like_a_cup(scale: float) -> None:
     points = points_in_world("angle", pile_of("angle", 0, scale), scale)
-    assert -2e-4 * scale < points[..., 2].min() < 1e-3 * scale
+    assert -5e-4 * scale < points[..., 2].min() < 1e-3 * scale
     assert points[..., 2].max() < 0.2 * scale
 
 
@@ -122,6 +122,14 @@ def test_a_drop_that_leaves_the_bin_is_redone_from_the_next_draw() -> None:
     shallow = BinSize(0.16, 0.16, 0.01)
     attempts = [simulate_pile(body_of("ball"), shallow, (3, 3), CONFIG, 0, scene).attempts for scene in range(6)]
     assert max(attempts) > 1
+
+
+def test_redone_scenes_keep_their_number_of_instances() -> None:
+    shallow, body = BinSize(0.16, 0.16, 0.01), body_of("ball")
+    strict = [simulate_pile(body, shallow, (1, 4), CONFIG, 0, scene) for scene in range(12)]
+    roomy = [simulate_pile(body, BinSize(0.5, 0.5, 0.2), (1, 4), CONFIG, 0, scene) for scene in range(12)]
+    assert max(pile.attempts for pile in strict) > 1
+    assert [len(pile.world_from_obj) for pile in strict] == [len(pile.world_from_obj) for pile in roomy]
 
 
 def test_an_overfull_bin_is_reported_in_one_sentence() -> None:

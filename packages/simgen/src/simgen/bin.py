@@ -27,11 +27,20 @@ def fitting_bin(vertices: ArrayLike, diameter: float, instances: int) -> BinSize
 
     What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841).
     """
-    hull = ConvexHull(vertices, qhull_options="QJ")  # joggled, for flat objects have hulls as well
+    hull = _hull(vertices)
     height = WALL_HEIGHT * diameter
     floor = instances * max(hull.area / 4 / LAYERS, hull.volume / (PACKING * height))
     side = max(math.sqrt(floor), MIN_SIDE * diameter)
     return BinSize(side, side, height)
+
+
+def fill_level(vertices: ArrayLike, size: BinSize, instances: int) -> float:
+    """Volume of the convex hulls of `instances` meshes (V, 3) over the bin's."""
+    return float(instances * _hull(vertices).volume / (size.width * size.depth * size.height))
+
+
+def _hull(vertices: ArrayLike) -> ConvexHull:
+    return ConvexHull(vertices, qhull_options="QJ")  # joggled, for flat objects have hulls as well
 
 
 def wall_boxes(size: BinSize, thickness: float) -> Array:

@@ -56,7 +56,7 @@ class PhysicsConfig:
     quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
     quiet_motion: float = 4e-4  # metres, of any instance's centre or ends of axes
     max_seconds: float = 8.0
-    max_attempts: int = 20
+    max_attempts: int = 50
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class BuildConfig:
     seed: int = 0
     bin: BinSize | None = None
     compression: str = "zstd"
-    shard_scenes: int = 20
+    shard_scenes: int = 10
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     viewpoints: ViewpointConfig = field(default_factory=ViewpointConfig)
 

@@ -18,7 +18,7 @@ from simgen.config import BinSize, PhysicsConfig
 
 Array = NDArray[np.float64]
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
-DROP_STAGE = 0  # second word of the spawn key; viewpoints use another
+COUNT_STAGE, DROP_STAGE = 2, 0  # second word of the spawn key; viewpoints use another
 LOOKS_PER_WINDOW = 5
 WALL_THICKNESS = 1.0  # in simulated metres, so that nothing tunnels
 
@@ -80,23 +80,29 @@ def simulate_pile(
 ) -> Pile:
     """Drop a random number of instances within `instances` (smallest, largest) into the bin.
 
-    The same arguments give the same bits, whatever this process simulated before. A draw that does not come to rest,
-    or in which an instance leaves the bin, is thrown away, and the scene redone from the next one.
+    The same arguments give the same bits, whatever this process simulated before. A drop that does not come to rest,
+    or in which an instance leaves the bin, is thrown away, and the scene redone from its next draw; with as many
+    instances, or full bins would become rare.
 
     Raises:
         InputError: none of `config.max_attempts` draws came to rest inside the bin.
     """
+    count = int(_generator(seed, scene, COUNT_STAGE).integers(instances[0], instances[1] + 1))
     for attempt in range(config.max_attempts):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene, DROP_STAGE, attempt)))
-        count = int(rng.integers(instances[0], instances[1] + 1))
+        rng = _generator(seed, scene, DROP_STAGE, attempt)
         with World(body, size, config) as world:
             world.drop(*_staggered_columns(rng, count, body.radius, _scaled(size, body.scale)))
             if world.settle():
                 return Pile(world.world_from_obj(), attempt + 1)
     raise InputError(
-        f"scene {scene}: none of {config.max_attempts} drops of {instances[0]}-{instances[1]} instances came to rest "
+        f"scene {scene}: none of {config.max_attempts} drops of {count} instances came to rest "
         f"inside the bin of {size} m; give a larger --bin or fewer --instances."
     )
+
+
+def _generator(*key: int) -> np.random.Generator:
+    """The stream of (seed, scene, stage, ...): no other part of a build draws from it."""
+    return np.random.default_rng(np.random.SeedSequence(key[0], spawn_key=key[1:]))
 
 
 class World:

@@ -15,7 +15,7 @@ from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
-from simgen.bin import bin_mesh, fitting_bin, ground_half_side
+from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
@@ -26,6 +26,7 @@ DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a t
 STEPS_PER_DIAMETER = 500  # 0.1 mm will do for objects of 5 cm and more
 MIN_STEPS_PER_DIAMETER = 50
 MIN_PIXELS = 4
+MAX_FILL = 1.5  # heaps rise above the walls, but no higher
 STEPS = np.iinfo(np.uint16).max
 SOFTWARE = ("binpose-simgen", "binpose-evalkit", "pybullet", "numpy", "numba", "h5py", "hdf5plugin")
 
@@ -58,6 +59,11 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
         raise InputError(
             f"--bin {size}: the object '{model.name}' is {diameter:g} m across; "
             "give a bin whose width and depth are larger, in metres, or --bin auto."
+        )
+    if fill_level(vertices, size, config.instances_max) > MAX_FILL:
+        raise InputError(
+            f"--bin {size}: {config.instances_max} instances of '{model.name}' do not fit into it; "
+            "give a larger --bin in metres or fewer --instances."
         )
     _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
     _require_sight(config.camera, diameter, farthest)
