@@ -18,6 +18,7 @@ from evalkit.atomic import atomic_path
 from evalkit.camera import Camera
 from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
+from posenet.compact import compact, expand
 from posenet.config import Config
 from posenet.network import PoseNetwork
 
@@ -33,17 +34,18 @@ class TrainedModel:
     record: dict[str, Any]  # minutes, images, validation AP, data, versions
 
 
-def save_model(path: Path | str, network: PoseNetwork, record: dict[str, Any]) -> None:
-    """Write a model file atomically."""
+def save_model(path: Path | str, network: PoseNetwork, record: dict[str, Any], packed: bool = False) -> None:
+    """Write a model file atomically; `packed` in a quarter of the bytes (see :mod:`posenet.compact`)."""
     model = network.model
-    document = {
+    weights = {name: value.detach().cpu() for name, value in network.state_dict().items()}
+    document: dict[str, Any] = {
         "format": FORMAT,
         "config": json.dumps(network.config.to_json()),
         "object": json.dumps(model.to_json()),
         "camera": json.dumps(network.camera.to_json()),
         "depth_range": json.dumps(network.depth_range),
         "record": json.dumps(record),
-        "weights": {name: value.detach().cpu() for name, value in network.state_dict().items()},
+        "weights": compact(weights) if packed else weights,
     }
     if model.vertices is not None and model.faces is not None:
         document["vertices"] = torch.from_numpy(model.vertices.astype("float32"))
@@ -67,13 +69,26 @@ def load_model(source: Path | str, device: str | torch.device = "cpu") -> Traine
         raise InputError(f"{path}: format {document.get('format')!r} where {FORMAT!r} is needed; train it anew.")
     try:
         network = _rebuild(document, path)
-        network.load_state_dict(document["weights"])
+        network.load_state_dict(expand(document["weights"]))
         record = json.loads(document["record"])
     except (KeyError, TypeError, RuntimeError, json.JSONDecodeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path}: not a complete model of this posenet version ({reason}); train it anew.") from None
     network = network.to(device).eval()
     return TrainedModel(network.in_fast_layout(), record)
+
+
+def write_compact(source: Path, out: Path) -> int:
+    """Write the model at `source` (a model file or a run's folder) in few bytes; returns how many.
+
+    Raises:
+        InputError: there is no usable model, or `out` is that very file.
+    """
+    if out.exists() and source.exists() and out.samefile(source):
+        raise InputError(f"{out}: is the model to be read; choose another file with -o.")
+    trained = load_model(source)
+    save_model(out, trained.network, trained.record, packed=True)
+    return out.stat().st_size
 
 
 def read_torch_file(path: Path) -> dict[str, Any]:

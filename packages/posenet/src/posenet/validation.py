@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from evalkit.evaluation import Result, average_precision
 from numpy.typing import NDArray
 
 from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.evaluation import Result, average_precision
 from posenet.dataset import Frames
 from posenet.network import PoseNetwork
 
