@@ -81,9 +81,11 @@ def test_images_without_instances_train(debug_shards: Path) -> None:
         assert torch.isfinite(loss)
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(debug_shards: Path, tmp_path: Path) -> None:
-    whole = fit(options(debug_shards, tmp_path / "whole", epochs=6))
-    stopped = options(debug_shards, tmp_path / "stopped", epochs=6)
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(debug_shards: Path, tmp_path: Path, noise: float) -> None:
+    config = with_options(preset("debug"), "train", augment_noise=noise, augment_holes=noise)
+    whole = fit(options(debug_shards, tmp_path / "whole", config, epochs=6))
+    stopped = options(debug_shards, tmp_path / "stopped", config, epochs=6)
     take = Trainer._step
 
     def stop_at_three(self: Trainer, frames: np.ndarray, progress: float) -> None:

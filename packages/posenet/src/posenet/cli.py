@@ -33,6 +33,10 @@ def main() -> None:
 @click.option("--schedule", type=click.Choice(SCHEDULES), default=None, help="How the learning rate goes.")
 @click.option("--ema", type=click.FloatRange(0, 1, max_open=True), help="Keep the weights' moving average, e.g. 0.999.")
 @click.option(
+    "--augment-noise", type=click.FloatRange(0, 1), help="Add noise up to so many diameters on the fly: 0.02."
+)
+@click.option("--augment-holes", type=click.FloatRange(0, 0.9), help="Holes cut on the fly, at most this share.")
+@click.option(
     "--backbone-weights", type=click.Path(path_type=Path), help="ImageNet's VGG16 (torchvision's file), --preset paper."
 )
 @click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
@@ -74,13 +78,16 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     click.echo(_summary(run.path))
 
 
+_TRAIN_OPTIONS = ("learning_rate", "batch_images", "schedule", "ema", "augment_noise", "augment_holes")
+
+
 def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     config = preset(preset_name)
     network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation")}
     config = with_options(config, "network", **network)
     tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None
     config = with_options(config, "loss", registration_weights=options["registration_weights"], tasks=tasks)
-    train = {key: options[key] for key in ("learning_rate", "batch_images", "schedule", "ema")}
+    train = {key: options[key] for key in _TRAIN_OPTIONS}
     return with_options(config, "train", **train)
 
 

@@ -80,6 +80,8 @@ class TrainConfig:
     clip_gradient: float = 20.0
     min_visibility: float = 0.2  # instances seen less than this do not train
     box_jitter: float = 0.08  # of a box's side, uniform
+    augment_noise: float = 0.0  # depth noise added on the fly: its largest standard deviation, in diameters
+    augment_holes: float = 0.0  # holes cut on the fly: their largest share of an image's smooth surface
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
     scoring_rate: float = (

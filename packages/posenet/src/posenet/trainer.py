@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from evalkit.errors import InputError
 from posenet import losses
+from posenet.augment import Degradation, degrade, generator_of
 from posenet.config import Config
 from posenet.dataset import Frames, Split, epoch_order
 from posenet.device import choose_device, supports_bf16
@@ -29,6 +30,7 @@ from posenet.network import PoseNetwork
 from posenet.provenance import data_hash, git_version, software_versions
 from posenet.run_folder import RunFolder
 from posenet.schedule import Budget, learning_rate_factor
+from posenet.targets import Batch
 from posenet.validation import validate
 from posenet.validation_picture import draw_validation
 
@@ -155,7 +157,7 @@ class Trainer:
             for group in optimizer.param_groups:
                 group["lr"] = group["initial_lr"] * factor
             optimizer.zero_grad(set_to_none=True)
-        batch = self.frames.batch(batch_frames).to(self.fabric.device)
+        batch = self._batch(batch_frames)
         self.network.train()
         scores = progress >= self.config.scoring_start and self.step % self.config.scoring_every == 0
         found = self.module(batch, self.config.scoring_images if scores else 0)
@@ -172,6 +174,18 @@ class Trainer:
         if self.average:
             self.average.update(self.network)
         self._log(found, loss, factor)
+
+    def _batch(self, batch_frames: NDArray[np.int64]) -> Batch:
+        batch = self.frames.batch(batch_frames).to(self.fabric.device)
+        bounds = Degradation(self.config.augment_noise, self.config.augment_holes)
+        if not any(bounds):
+            return batch
+        diameter = self.frames.model.diameter
+        images = [
+            degrade(image, bounds, diameter, generator_of(self.options.seed, self.step, i))
+            for i, image in enumerate(batch.depth)
+        ]
+        return batch._replace(depth=torch.stack(images))
 
     def _require_finite(self, value: Tensor, parts: dict[str, Tensor]) -> None:
         if torch.isfinite(value):
