@@ -65,7 +65,7 @@ def test_piles_are_at_rest(shape: str) -> None:
     centers = poses.apply(pile.world_from_obj, body.center_of_mass[None])[:, 0]
     with World(body, bin_of(shape), config) as world:
         world.drop(centers * body.scale, pile.world_from_obj[:, :3, :3])
-        world.step(round(config.quiet_window / config.time_step))
+        world.rest(config.quiet_window)
         later = world.world_from_obj()
     moved = np.abs(points_in_world(shape, Pile(later, 1)) - points_in_world(shape, pile)).max()
     assert moved < 1.5e-3

@@ -118,8 +118,6 @@ class World:
             raise RuntimeError("PyBullet gave no physics client")
         pybullet.setGravity(0, 0, -self._config.gravity, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._config.time_step,
-            numSolverIterations=self._config.solver_iterations,
             deterministicOverlappingPairs=1,
             physicsClientId=self._client,
         )
@@ -136,23 +134,42 @@ class World:
             self._instances.append(self._add_body(1.0, shape, center, quaternion))
 
     def settle(self) -> bool:
-        """Simulate until nothing moves throughout the quiet window; False if it takes too long or one is lost."""
-        steps = max(1, round(self._config.quiet_window / LOOKS_PER_WINDOW / self._config.time_step))
+        """Simulate until nothing moves throughout the quiet window; False if it takes too long or one is lost.
+
+        Short steps with few iterations while instances fall, or thin ones land in the floor, and are pushed out of it
+        sideways or downwards; long steps with many once they only slide and creep.
+        """
+        config, interval = self._config, self._config.quiet_window / LOOKS_PER_WINDOW
         recent: deque[Array] = deque([self._surface_marks()], maxlen=LOOKS_PER_WINDOW)
-        for _ in range(round(self._config.max_seconds / (steps * self._config.time_step))):
-            self.step(steps)
+        landed = self._free_fall_seconds()
+        for look in range(round(config.max_seconds / interval)):
+            if look * interval < landed:
+                self._simulate(interval, config.fall_time_step, config.fall_iterations)
+            else:
+                self.rest(interval)
             now = self._surface_marks()
             if not self._all_inside(now):
                 return False
             moved = max(float(np.abs(now - before).max()) for before in recent)
-            if len(recent) == LOOKS_PER_WINDOW and moved < self._config.quiet_motion:
+            if len(recent) == LOOKS_PER_WINDOW and moved < config.quiet_motion:
                 return True
             recent.append(now)
         return False
 
-    def step(self, steps: int) -> None:
-        """Let that many time steps pass."""
-        for _ in range(steps):
+    def _free_fall_seconds(self) -> float:
+        """When the highest instance is on the floor if nothing is in its way."""
+        centers, _ = self._state()
+        return float(np.sqrt(2 * max(centers[:, 2].max(), 0.0) / self._config.gravity))
+
+    def rest(self, seconds: float) -> None:
+        """Let simulated seconds pass for instances that have settled."""
+        self._simulate(seconds, self._config.time_step, self._config.solver_iterations)
+
+    def _simulate(self, seconds: float, time_step: float, solver_iterations: int) -> None:
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=time_step, numSolverIterations=solver_iterations, physicsClientId=self._client
+        )
+        for _ in range(max(1, round(seconds / time_step))):
             pybullet.stepSimulation(physicsClientId=self._client)
 
     def world_from_obj(self) -> Array:
