@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import trimesh
 from click.testing import CliRunner, Result
+from numpy.typing import NDArray
 
 from evalkit import poses
 from evalkit.camera import Camera
@@ -28,8 +29,8 @@ from evalkit.shards import ShardDataset, checksum_problem, read_dataset_file, sh
 from evalkit.symmetry import Symmetry
 from simgen.build import build, build_shard
 from simgen.cli import cli
-from simgen.config import BinSize, BuildConfig, debug, default_camera
-from simgen.scenes import Job, depth_unit_for, plan, simulate_scene
+from simgen.config import PRESETS, BinSize, BuildConfig, PileConfig, debug, default_camera
+from simgen.scenes import Job, SceneRenderer, depth_unit_for, plan, simulate_scene
 
 SMALL = replace(debug(), scenes=5, views=2, instances_min=2, instances_max=4, camera=default_camera(80, 60))
 
@@ -208,6 +209,55 @@ def test_bad_options_get_one_sentence_and_exit_code_2(arguments: list[str], sent
     assert sentence in result.stderr
     assert result.stderr.startswith("Error: ") and result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_the_renderer_draws_the_scenes_own_bin() -> None:
+    """Whoever renders a scene, alone or after others, finds its walls where the instances found them, or none."""
+    pile = PileConfig(bin_jitter=0.3, wall_probability=0.5)
+    job = job_of(replace(SMALL, pile=pile, camera=default_camera(800, 600), instances_max=2))
+    scenes = [simulate_scene(job, index)[0] for index in range(5)]
+    assert len({job.scene_bin(index).walls for index in range(5)}) == 2
+    one = SceneRenderer(job)
+    for scene in scenes:
+        size = job.scene_bin(scene.index)
+        from_above = replace(scene, cam_from_world=looking_down(1.0))
+        (view,) = one.views(from_above)
+        (alone,) = SceneRenderer(job).views(from_above)
+        assert np.array_equal(view.depth_raw, alone.depth_raw)
+        edge = np.array([size.width / 2 + 0.015 * max(size.width, size.depth), 0.0, size.height])
+        u, v = np.round(job.config.camera.project(poses.apply(looking_down(1.0)[0], edge[None])))[0].astype(int)
+        depth = view.depth_raw[v, u] * job.depth_unit
+        assert depth == pytest.approx(1.0 - size.height if size.walls else 1.0, abs=1e-3)
+
+
+def looking_down(height: float) -> NDArray[np.float64]:
+    """cam_from_world (1, 4, 4) of a camera straight above the bin's middle."""
+    return poses.from_rotation_translation(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, height])[None]
+
+
+@pytest.mark.parametrize("preset", ["sileane", "icvl"])
+def test_presets_say_what_they_draw_and_build(preset: str, tmp_path: Path) -> None:
+    result = run(
+        "--object", "brick", "--preset", preset, "--scenes", "2", "--views", "2", "--instances", "8",
+        "--workers", "1", "-o", str(tmp_path / "out"),
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "walls in" in result.output and "tilted by" in result.output
+    dataset = ShardDataset(tmp_path / "out")
+    assert len(dataset) == 4 and dataset.header.camera == PRESETS[preset]().camera
+    assert dataset.header.config["viewpoints"]["farthest"] == PRESETS[preset]().viewpoints.farthest
+
+
+def test_what_is_random_can_be_given_as_options(tmp_path: Path) -> None:
+    result = run(
+        "--object", "brick", "--preset", "debug", "--scenes", "1", "--tilt", "10-20", "--distance", "1.2-1.3",
+        "--look-at-jitter", "0.1", "--bin-jitter", "0.2", "--walls", "0", "--workers", "1", "-o", str(tmp_path / "out"),
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    config = ShardDataset(tmp_path / "out").header.config
+    assert config["viewpoints"] | {"min_tilt_degrees": 10, "max_tilt_degrees": 20, "nearest": 1.2, "farthest": 1.3,
+                                   "look_at_jitter": 0.1} == config["viewpoints"]  # fmt: skip
+    assert (config["pile"]["bin_jitter"], config["pile"]["wall_probability"]) == (0.2, 0)
 
 
 def test_a_file_in_the_folders_place_is_refused(tmp_path: Path) -> None:

@@ -8,7 +8,20 @@ from dataclasses import replace
 import pytest
 
 from evalkit.errors import InputError
-from simgen.config import PRESETS, BinSize, BuildConfig, debug, default, default_camera, parse_bin, parse_instances
+from simgen.config import (
+    PRESETS,
+    BinSize,
+    BuildConfig,
+    PileConfig,
+    ViewpointConfig,
+    debug,
+    default,
+    default_camera,
+    parse_bin,
+    parse_instances,
+    parse_range,
+    sileane,
+)
 
 
 def test_the_default_is_the_papers() -> None:
@@ -71,3 +84,43 @@ def test_the_default_camera_looks_straight_ahead() -> None:
     camera = default_camera(320, 240)
     assert (camera.cx, camera.cy) == (159.5, 119.5)
     assert BuildConfig(1, 1, 1, 1, camera).camera.fx == camera.fy
+
+
+@pytest.mark.parametrize("preset", ["default", "demo", "debug"])
+def test_the_papers_presets_draw_nothing_but_the_cap(preset: str) -> None:
+    config = PRESETS[preset]()
+    assert config.pile == PileConfig()
+    assert config.viewpoints == ViewpointConfig()
+    assert (config.pile.bin_jitter, config.pile.wall_probability, config.viewpoints.look_at_jitter) == (0, 1, 0)
+
+
+def test_sileanes_camera_is_that_of_its_bunny_scenes() -> None:
+    camera = sileane().camera
+    assert (camera.width, camera.height, camera.fx, camera.cx, camera.cy) == (506, 474, 1152.31, 139.459, 237.001)
+    assert (sileane().instances_min, sileane().instances_max) == (20, 80)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "option"),
+    [
+        (ViewpointConfig, {"max_tilt_degrees": 89.0}, "--tilt"),
+        (ViewpointConfig, {"min_tilt_degrees": 40.0}, "--tilt"),
+        (ViewpointConfig, {"nearest": 2.0}, "--distance"),
+        (ViewpointConfig, {"look_at_jitter": 0.6}, "--look-at-jitter"),
+        (PileConfig, {"bin_jitter": -0.1}, "--bin-jitter"),
+        (PileConfig, {"wall_probability": 1.1}, "--walls"),
+        (PileConfig, {"wall_probability": float("nan")}, "--walls"),
+    ],
+)
+def test_what_is_random_has_bounds(kind: type, change: dict[str, float], option: str) -> None:
+    with pytest.raises(InputError, match=option):
+        kind(**change)
+
+
+def test_a_range_is_a_number_or_two_in_order() -> None:
+    assert parse_range("--tilt", "10-60") == (10, 60)
+    assert parse_range("--tilt", "0.5 - 1.25") == (0.5, 1.25)
+    assert parse_range("--tilt", "7") == (7, 7)
+    for text in ("", "steep", "1-2-3", "-5", "9-8", "nan"):
+        with pytest.raises(InputError, match="--tilt"):
+            parse_range("--tilt", text)

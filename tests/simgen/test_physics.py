@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evalkit import poses
 from evalkit.errors import InputError
 from simgen.bin import fitting_bin
-from simgen.config import BinSize, PhysicsConfig
+from simgen.config import BinSize, PhysicsConfig, PileConfig
 from simgen.physics import Body, Pile, World, center_of_mass, simulate_pile
 
 CONFIG = PhysicsConfig()
@@ -69,6 +69,38 @@ def test_piles_are_at_rest(shape: str) -> None:
         later = world.world_from_obj()
     moved = np.abs(points_in_world(shape, Pile(later, 1)) - points_in_world(shape, pile)).max()
     assert moved < 1.5e-3
+
+
+def test_piles_whose_walls_were_lifted_off_are_at_rest_beyond_them() -> None:
+    """They have rolled out, some of them; none beyond the bare ground's reach."""
+    body, size = body_of("capsule"), bin_of("capsule", count=12)
+    bare = BinSize(size.width, size.depth, size.height, walls=False)
+    pile = simulate_pile(body, bare, (12, 12), CONFIG, 0, 0)
+    again = simulate_pile(body, bare, (12, 12), CONFIG, 0, 0)
+    assert np.array_equal(pile.world_from_obj, again.world_from_obj)
+    aside = np.abs(points_in_world("capsule", pile).mean(1)[:, :2])
+    assert (aside > size.reach).any()
+    assert (aside <= bare.reach).all()
+    centers = poses.apply(pile.world_from_obj, body.center_of_mass[None])[:, 0]
+    with World(body, bare, CONFIG) as world:
+        world.drop(centers * body.scale, pile.world_from_obj[:, :3, :3])
+        assert world.settle()
+        moved = np.abs(points_in_world("capsule", Pile(world.world_from_obj(), 1)) - points_in_world("capsule", pile))
+    assert moved.max() < 3e-3
+
+
+def test_drops_start_over_the_middle_of_the_bin_and_higher_as_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(World, "settle", lambda _: True)  # poses are those of the start
+    body, size = body_of("ball"), BinSize(1.0, 0.8, 0.3)
+    start = PileConfig(drop_height_max=2.0, drop_spread_min=0.5)
+    spread, lift = [], []
+    for scene in range(40):
+        begun = [simulate_pile(body, size, (30, 30), CONFIG, 0, scene, *config) for config in ((), (start,))]
+        usual, asked = (pile.world_from_obj[:, :3, 3] for pile in begun)
+        spread.append(float((np.abs(asked[:, :2]) / [0.5, 0.4]).max()))
+        lift.append(asked[:, 2].min() - usual[:, 2].min())
+    assert min(spread) < 0.6 and max(spread) > 0.85
+    assert -0.05 < min(lift) < 0.03 and 0.16 < max(lift) < 0.25
 
 
 def test_instances_do_not_pass_through_each_other() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evalkit.camera_files import read_intrinsics
 from evalkit.errors import InputError
 
 MAX_SIDE = 16384
@@ -95,9 +95,9 @@ class Camera:
 
     @classmethod
     def load(cls, path: Path | str) -> Camera:
-        """Read a camera from our JSON file."""
-        try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-            raise InputError(f"{path}: not a JSON file ({error}); give width, height, fx, fy, cx, cy.") from None
-        return cls.from_json(document, where=str(path))
+        """Read a camera from our JSON file, a BOP camera.json, or a ROS camera_info in YAML.
+
+        Raises:
+            InputError: the file is none of these.
+        """
+        return cls.from_json(read_intrinsics(Path(path)), where=str(path))

@@ -95,7 +95,9 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), default="preds.json", show_default=True)
-@click.option("--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of depth images (JSON).")
+@click.option(
+    "--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of depth images: our JSON, BOP or ROS."
+)
 @click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")

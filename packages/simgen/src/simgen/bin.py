@@ -11,27 +11,36 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from simgen.config import BinSize
+from simgen.config import BinSize, PileConfig
 
 Array = NDArray[np.float64]
-LAYERS = 1.5  # shadows of all instances over the floor's area: visibility then spreads from 0 to 1, 0.67 on average
+BIN_STAGE = 4  # second word of the spawn key; drops and viewpoints use others
 PACKING = 0.6  # share of the bin's volume that convex hulls fill at most: round things would roll off a higher pile
 MIN_SIDE = 1.5  # in object diameters
-WALL_HEIGHT = 1.0  # in object diameters
 WALL_THICKNESS = 0.03  # of the longer side
 GROUND = 4.0  # half-side of the ground around the bin, in longer sides
+DEFAULT_PILE = PileConfig()
 
 
-def fitting_bin(vertices: ArrayLike, diameter: float, instances: int) -> BinSize:
-    """The bin in which `instances` objects of that mesh (V, 3) and diameter, in metres, pile up one to two layers high.
+def fitting_bin(vertices: ArrayLike, diameter: float, instances: int, pile: PileConfig = DEFAULT_PILE) -> BinSize:
+    """The bin in which `instances` objects of that mesh (V, 3) and diameter, in metres, pile up `pile.layers` high.
 
     What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841).
     """
     hull = _hull(vertices)
-    height = WALL_HEIGHT * diameter
-    floor = instances * max(hull.area / 4 / LAYERS, hull.volume / (PACKING * height))
-    side = max(math.sqrt(floor), MIN_SIDE * diameter)
-    return BinSize(side, side, height)
+    height = pile.wall_height * diameter
+    floor = instances * max(hull.area / 4 / pile.layers, hull.volume / (PACKING * height))
+    stretch = math.sqrt(pile.aspect)
+    width, depth = (max(side, MIN_SIDE * diameter) for side in (math.sqrt(floor) * stretch, math.sqrt(floor) / stretch))
+    return BinSize(width, depth, height)
+
+
+def scene_bin(pile: PileConfig, size: BinSize, seed: int, scene: int) -> BinSize:
+    """The bin of one scene of a dataset whose bin is `size`: the same for whoever simulates and whoever renders it."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene, BIN_STAGE)))
+    width, depth = np.array([size.width, size.depth]) * rng.uniform(1 - pile.bin_jitter, 1 + pile.bin_jitter, 2)
+    walls = size.walls and bool(rng.random() < pile.wall_probability)
+    return BinSize(float(width), float(depth), size.height, walls)
 
 
 def fill_level(vertices: ArrayLike, size: BinSize, instances: int) -> float:
@@ -44,7 +53,9 @@ def _hull(vertices: ArrayLike) -> ConvexHull:
 
 
 def wall_boxes(size: BinSize, thickness: float) -> Array:
-    """The four walls as axis-aligned boxes (4, 2, 3): smallest and largest corner, in metres."""
+    """The walls as axis-aligned boxes (4 or 0, 2, 3): smallest and largest corner, in metres."""
+    if not size.walls:
+        return np.zeros((0, 2, 3))
     x, y, z, t = size.width / 2, size.depth / 2, size.height, thickness
     return np.array(
         [

@@ -13,7 +13,7 @@ import click
 from evalkit.camera import Camera
 from evalkit.command import Commands
 from evalkit.errors import InputError
-from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances
+from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
 from simgen.inspect_commands import object_command, preview_command, verify_command
 
 
@@ -40,11 +40,21 @@ def cli() -> None:
 @click.option("--workers", type=int, help="Processes; all CPU cores if not given. Does not change the result.")
 @click.option("--width", type=int, help="Image width in pixels.")
 @click.option("--height", type=int, help="Image height in pixels.")
-@click.option("--camera", "camera_file", type=click.Path(path_type=Path), help="JSON: width, height, fx, fy, cx, cy.")
+@click.option(
+    "--camera",
+    "camera_file",
+    type=click.Path(path_type=Path),
+    help="Our JSON, a BOP camera.json, or a ROS camera_info as YAML.",
+)
 @click.option("--units", type=click.Choice(["auto", "m", "mm"]), default="auto", show_default=True)
 @click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on the object's size.")
 @click.option("--symmetry", default="auto", show_default=True, help="auto, none, cyclic:N, dihedral:N, revolution …")
 @click.option("--bin", "bin_text", metavar="auto|WxDxH", help="Inner size of the bin in metres.")
+@click.option("--tilt", metavar="MIN-MAX", help="Of the optical axis from the vertical, in degrees.")
+@click.option("--distance", metavar="MIN-MAX", help="Multiples of that from which the bin just fits the image.")
+@click.option("--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle.")
+@click.option("--bin-jitter", type=float, help="A scene's bin differs from the dataset's by up to this share.")
+@click.option("--walls", type=float, help="Share of the scenes whose bin has walls; in the others they are lifted off.")
 @click.option("--compression", help="zstd or gzip.")
 @click.option("--shard-scenes", type=int, help="Scenes a shard file.")
 def build_command(
@@ -68,6 +78,7 @@ def build_command(
     job = plan(config, prepared.model, prepared.convex_parts)
     click.echo(prepared.summary)
     click.echo(f"Bin {job.bin} m, depth unit {job.depth_unit:g} m.")
+    click.echo(job.config.describe())
     start = time.monotonic()
     report = build(job, output, workers)
     seconds = time.monotonic() - start
@@ -89,6 +100,11 @@ def _configured(
     width: int | None,
     height: int | None,
     camera_file: Path | None,
+    tilt: str | None,
+    distance: str | None,
+    look_at_jitter: float | None,
+    bin_jitter: float | None,
+    walls: float | None,
     **numbers: Any,
 ) -> BuildConfig:
     """The preset with the options that were given in place of its values."""
@@ -104,6 +120,14 @@ def _configured(
     elif width is not None or height is not None:
         sides = (preset.camera.width if width is None else width, preset.camera.height if height is None else height)
         changes["camera"] = default_camera(*sides)
+    views: dict[str, Any] = {} if look_at_jitter is None else {"look_at_jitter": look_at_jitter}
+    if tilt is not None:
+        views["min_tilt_degrees"], views["max_tilt_degrees"] = parse_range("--tilt", tilt)
+    if distance is not None:
+        views["nearest"], views["farthest"] = parse_range("--distance", distance)
+    given = {"bin_jitter": bin_jitter, "wall_probability": walls}
+    pile: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    changes["viewpoints"], changes["pile"] = replace(preset.viewpoints, **views), replace(preset.pile, **pile)
     return replace(preset, **changes)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from evalkit.camera import Camera
@@ -18,15 +18,20 @@ from evalkit.shards import COMPRESSIONS
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
 MAX_COUNT = 10_000_000
 MAX_INSTANCES = 65_534  # ids are uint16, 0 is nobody
+WALL_LESS_REACH = 4.0  # of the bin's half side: as far as the ground that is drawn is sure to reach
 
 
 @dataclass(frozen=True)
 class BinSize:
-    """Inner width (world x), depth (y) and height (z) of the open bin, in metres."""
+    """Inner width (world x), depth (y) and height (z) of the open bin, in metres, and whether its walls are there.
+
+    Without walls, as if somebody had lifted them off the pile, instances may roll away, but no farther than `reach`.
+    """
 
     width: float
     depth: float
     height: float
+    walls: bool = True
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(side) and side > 0 for side in (self.width, self.depth, self.height)):
@@ -34,6 +39,51 @@ class BinSize:
 
     def __str__(self) -> str:
         return f"{self.width:g}x{self.depth:g}x{self.height:g}"
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """How far along x and y, in metres, an instance's centre may come to rest from the middle."""
+        share = 0.5 if self.walls else 0.5 * WALL_LESS_REACH
+        return share * self.width, share * self.depth
+
+    def times(self, factor: float) -> BinSize:
+        """The same bin with all its sides that many times as long."""
+        return replace(self, width=self.width * factor, depth=self.depth * factor, height=self.height * factor)
+
+
+@dataclass(frozen=True)
+class PileConfig:
+    """The bin where it is automatic, and what differs from scene to scene about it and about the drop.
+
+    Attributes:
+        layers: shadows of all instances, of the largest number, over the floor's area.
+        aspect: width over depth of the automatic bin.
+        wall_height: of the automatic bin, in object diameters.
+        bin_jitter: width and depth of a scene's bin differ from the dataset's by up to this share, each by itself.
+        wall_probability: share of the scenes whose bin has walls; in the others they are lifted off the pile.
+        drop_height_max: instances start up to this many object diameters higher than they need to.
+        drop_spread_min: instances start over the middle of the bin, this share of its sides at least.
+    """
+
+    layers: float = 1.5  # visibility then spreads from 0 to 1, 0.67 on average
+    aspect: float = 1.0
+    wall_height: float = 1.0
+    bin_jitter: float = 0.0
+    wall_probability: float = 1.0
+    drop_height_max: float = 0.0
+    drop_spread_min: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value, least, most in (
+            ("layers", self.layers, 0.01, 100.0),
+            ("aspect", self.aspect, 0.1, 10.0),
+            ("wall_height", self.wall_height, 0.01, 100.0),
+            ("--bin-jitter", self.bin_jitter, 0.0, 0.5),
+            ("--walls", self.wall_probability, 0.0, 1.0),
+            ("drop_height_max", self.drop_height_max, 0.0, 10.0),
+            ("drop_spread_min", self.drop_spread_min, 0.1, 1.0),
+        ):
+            _require_within(name, value, least, most)
 
 
 @dataclass(frozen=True)
@@ -63,14 +113,30 @@ class PhysicsConfig:
 
 @dataclass(frozen=True)
 class ViewpointConfig:
-    """The cap of camera positions above the bin.
+    """Where cameras stand: everything is drawn uniformly within its bounds, the tilt over the cap's area.
 
-    Distances are multiples of the one from which the bin's opening just fits the image's narrower side.
+    Attributes:
+        min_tilt_degrees, max_tilt_degrees: between the optical axis and the vertical.
+        nearest, farthest: multiples of the distance from which the bin's opening just fits the image's narrower side.
+        look_at_jitter: the middle of the image looks at a point of the floor that is up to this share of the bin's
+            width and depth from its middle.
+        max_turn_degrees: about the optical axis, to either side of where image rows run along the bin's width.
     """
 
+    min_tilt_degrees: float = 0.0
     max_tilt_degrees: float = 35.0
     nearest: float = 1.0
     farthest: float = 1.5
+    look_at_jitter: float = 0.0
+    max_turn_degrees: float = 180.0
+
+    def __post_init__(self) -> None:
+        _require_within("--tilt", self.max_tilt_degrees, 0.0, 80.0)
+        _require_within("--tilt", self.min_tilt_degrees, 0.0, self.max_tilt_degrees)
+        _require_within("--distance", self.farthest, 0.01, 100.0)
+        _require_within("--distance", self.nearest, 0.01, self.farthest)
+        _require_within("--look-at-jitter", self.look_at_jitter, 0.0, 0.5)
+        _require_within("max_turn_degrees", self.max_turn_degrees, 0.0, 180.0)
 
 
 @dataclass(frozen=True)
@@ -86,6 +152,7 @@ class BuildConfig:
     bin: BinSize | None = None
     compression: str = "zstd"
     shard_scenes: int = 10
+    pile: PileConfig = field(default_factory=PileConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     viewpoints: ViewpointConfig = field(default_factory=ViewpointConfig)
 
@@ -115,6 +182,19 @@ class BuildConfig:
     def scenes_of_shard(self, shard: int) -> range:
         return range(shard * self.shard_scenes, min((shard + 1) * self.shard_scenes, self.scenes))
 
+    def describe(self) -> str:
+        """What is drawn anew for every scene and view, and within which bounds, in two sentences."""
+        pile, view = self.pile, self.viewpoints
+        return (
+            f"Piles: {self.instances_min} to {self.instances_max} instances, bin sides ± {pile.bin_jitter:.0%}, "
+            f"walls in {pile.wall_probability:.0%} of the scenes, dropped over {pile.drop_spread_min:.0%} to 100% of "
+            f"its sides from up to {pile.drop_height_max:g} diameters higher than needed.\n"
+            f"Views: tilted by {view.min_tilt_degrees:g} to {view.max_tilt_degrees:g}° where walls hide no more than "
+            f"half the floor, turned by up to {view.max_turn_degrees:g}°, from {view.nearest:g} to {view.farthest:g} "
+            f"times the distance at which the bin fits, looking up to {view.look_at_jitter:.0%} of its sides off the "
+            f"middle."
+        )
+
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
 
@@ -134,7 +214,49 @@ def debug() -> BuildConfig:
     return BuildConfig(4, 3, 3, 5, default_camera(160, 120), shard_scenes=2)
 
 
-PRESETS: dict[str, Callable[[], BuildConfig]] = {"default": default, "demo": demo, "debug": debug}
+def sileane() -> BuildConfig:
+    """Deep heaps from above, as the Siléane dataset's synthetic scenes show them: cut by the frame, mostly hidden.
+
+    Bin, depth of the heap and distance in relation to the object, and the camera, are those of its bunny_3 scenes.
+    """
+    return BuildConfig(
+        500,
+        4,
+        20,
+        80,
+        Camera(506, 474, 1152.31, 1152.31, 139.459, 237.001),
+        pile=PileConfig(layers=1.8, aspect=1.25, wall_height=1.5, bin_jitter=0.05, drop_spread_min=0.6),
+        viewpoints=ViewpointConfig(max_tilt_degrees=5.0, nearest=0.54, farthest=0.62, look_at_jitter=0.1),
+    )
+
+
+def icvl() -> BuildConfig:
+    """A camera in the hand before a box or a bare table, as in the ICVL Bin-Picking dataset: tilted, near and far."""
+    return BuildConfig(
+        1000,
+        8,
+        10,
+        30,
+        Camera(640, 480, 550.0, 540.0, 316.0, 244.0),
+        pile=PileConfig(layers=2.0, bin_jitter=0.2, wall_probability=0.7, drop_height_max=0.5, drop_spread_min=0.6),
+        viewpoints=ViewpointConfig(
+            min_tilt_degrees=10.0, max_tilt_degrees=60.0, nearest=0.6, farthest=1.5, look_at_jitter=0.15
+        ),
+    )
+
+
+PRESETS: dict[str, Callable[[], BuildConfig]] = {
+    "default": default,
+    "sileane": sileane,
+    "icvl": icvl,
+    "demo": demo,
+    "debug": debug,
+}
+
+
+def _require_within(name: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise InputError(f"{name} {value:g}: must be {least:g} to {most:g}.")
 
 
 def default_camera(width: int, height: int) -> Camera:
@@ -153,6 +275,19 @@ def parse_instances(text: str) -> tuple[int, int]:
     if match is None:
         raise InputError(f"--instances {text}: give a number or a range MIN-MAX, as in 10-20.")
     return int(match[1]), int(match[2] or match[1])
+
+
+def parse_range(option: str, text: str) -> tuple[float, float]:
+    """``10-50`` or ``30`` to (smallest, largest).
+
+    Raises:
+        InputError: it is neither.
+    """
+    number = r"(\d{1,9}(?:\.\d{1,9})?)"
+    match = re.fullmatch(rf"\s*{number}\s*(?:-\s*{number}\s*)?", text)
+    if match is None or float(match[2] or match[1]) < float(match[1]):
+        raise InputError(f"{option} {text}: give a number or a range MIN-MAX, as in 0.5-1.5.")
+    return float(match[1]), float(match[2] or match[1])
 
 
 def parse_bin(text: str) -> BinSize | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from evalkit import poses
 from evalkit.errors import InputError
-from simgen.bin import wall_boxes
+from simgen.bin import DEFAULT_PILE, wall_boxes
 from simgen.bullet import pybullet
-from simgen.config import BinSize, PhysicsConfig
+from simgen.config import BinSize, PhysicsConfig, PileConfig
 
 Array = NDArray[np.float64]
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -76,7 +76,13 @@ def _volume_and_centroid(vertices: Array, faces: NDArray[np.int32]) -> tuple[flo
 
 
 def simulate_pile(
-    body: Body, size: BinSize, instances: tuple[int, int], config: PhysicsConfig, seed: int, scene: int
+    body: Body,
+    size: BinSize,
+    instances: tuple[int, int],
+    config: PhysicsConfig,
+    seed: int,
+    scene: int,
+    start: PileConfig = DEFAULT_PILE,
 ) -> Pile:
     """Drop a random number of instances within `instances` (smallest, largest) into the bin.
 
@@ -90,9 +96,12 @@ def simulate_pile(
     count = int(_generator(seed, scene, COUNT_STAGE).integers(instances[0], instances[1] + 1))
     for attempt in range(config.max_attempts):
         rng = _generator(seed, scene, DROP_STAGE, attempt)
-        with World(body, size, config) as world:
-            world.drop(*_staggered_columns(rng, count, body.radius, _scaled(size, body.scale)))
-            if world.settle():
+        with World(body, replace(size, walls=True), config) as world:
+            above, share = _start(_generator(seed, scene, DROP_STAGE, attempt, 0), start)
+            over = replace(size, width=share * size.width, depth=share * size.depth).times(body.scale)
+            centers, rotations = _staggered_columns(rng, count, body.radius, over)
+            world.drop(centers + np.array([0.0, 0.0, 2 * body.radius * above]), rotations)
+            if world.settle() and (size.walls or world.settle_without_walls()):
                 return Pile(world.world_from_obj(), attempt + 1)
     raise InputError(
         f"scene {scene}: none of {config.max_attempts} drops of {count} instances came to rest "
@@ -109,8 +118,9 @@ class World:
     """One PyBullet world, its own client, with a bin; a context manager."""
 
     def __init__(self, body: Body, size: BinSize, config: PhysicsConfig) -> None:
-        self._body, self._size, self._config = body, _scaled(size, body.scale), config
+        self._body, self._size, self._config = body, size.times(body.scale), config
         self._instances: list[int] = []
+        self._walls: list[int] = []
 
     def __enter__(self) -> World:
         self._client = pybullet.connect(pybullet.DIRECT)
@@ -156,6 +166,13 @@ class World:
             recent.append(now)
         return False
 
+    def settle_without_walls(self) -> bool:
+        """Lift the walls off the settled pile and let it come to rest again, on the bare ground; as :meth:`settle`."""
+        for wall in self._walls:
+            pybullet.removeBody(wall, physicsClientId=self._client)
+        self._walls, self._size = [], replace(self._size, walls=False)
+        return self.settle()
+
     def _free_fall_seconds(self) -> float:
         """When the highest instance is on the floor if nothing is in its way."""
         centers, _ = self._state()
@@ -190,8 +207,9 @@ class World:
 
     def _all_inside(self, marks: Array) -> bool:
         centers = marks[:, 0]
-        half = np.array([self._size.width, self._size.depth]) / 2
-        return bool((np.abs(centers[:, :2]) <= half).all() and (centers[:, 2] > -self._config.quiet_motion).all())
+        return bool(
+            (np.abs(centers[:, :2]) <= self._size.reach).all() and (centers[:, 2] > -self._config.quiet_motion).all()
+        )
 
     def _compound_of_hulls(self) -> int:
         """One shape of all hulls; Bullet makes each object of an OBJ file the convex hull of its vertices."""
@@ -206,12 +224,15 @@ class World:
     def _add_bin(self) -> None:
         far = 100 * max(self._size.width, self._size.depth)
         floor = np.array([[-far, -far, -WALL_THICKNESS], [far, far, 0.0]])
-        for low, high in [floor, *wall_boxes(self._size, WALL_THICKNESS)]:
-            half, middle = (high - low) / 2, (high + low) / 2
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=self._client
-            )
-            self._add_body(0.0, shape, middle, np.array([0.0, 0.0, 0.0, 1.0]))
+        self._add_box(floor)
+        self._walls = [self._add_box(box) for box in wall_boxes(self._size, WALL_THICKNESS)]
+
+    def _add_box(self, box: Array) -> int:
+        half, middle = (box[1] - box[0]) / 2, (box[1] + box[0]) / 2
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=self._client
+        )
+        return self._add_body(0.0, shape, middle, np.array([0.0, 0.0, 0.0, 1.0]))
 
     def _add_body(self, mass: float, shape: int, position: Array, quaternion: Array) -> int:
         body = pybullet.createMultiBody(
@@ -238,6 +259,11 @@ class World:
         return int(body)
 
 
+def _start(rng: np.random.Generator, config: PileConfig) -> tuple[float, float]:
+    """How many diameters higher than they need to instances start, and over which share of the bin's sides."""
+    return float(rng.uniform(0, config.drop_height_max)), float(rng.uniform(config.drop_spread_min, 1))
+
+
 def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size: BinSize) -> tuple[Array, Array]:
     """Centres (n, 3) in columns over the bin, shifted against each other in height, and random rotations (n, 3, 3).
 
@@ -253,10 +279,6 @@ def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size
     lift = rng.uniform(0, 0.5, columns.prod())[cells]
     height = radius * 1.05 + (layer + lift) * pitch
     return np.column_stack([ground, height]), poses.random_rotations(rng, count)
-
-
-def _scaled(size: BinSize, scale: float) -> BinSize:
-    return BinSize(size.width * scale, size.depth * scale, size.height * scale)
 
 
 def _obj_of_hulls(hulls: list[Array]) -> str:

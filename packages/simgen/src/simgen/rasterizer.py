@@ -65,13 +65,17 @@ class Rasterizer:
         self._camera = camera
         self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self._vertices, self._faces = _as_mesh(vertices, faces)
-        self._background = _as_mesh(*background)
+        self.set_background(*background)
         self._cull = faces_outward(vertices, faces)
         low, high = self._vertices.min(0), self._vertices.max(0)
         self._middle, self._radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         self._near = NEAR_PER_EXTENT * self._radius
         rows, columns = (side * (1 + 2 * BEYOND_FRAME) for side in (camera.height, camera.width))
         self._window = np.zeros((rows, columns), np.float32)
+
+    def set_background(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+        """Put another background, as the constructor takes it, behind all instances from now on."""
+        self._background = _as_mesh(vertices, faces)
 
     def render(self, cam_from_obj: NDArray[np.float64], cam_from_world: NDArray[np.float64]) -> Rendering:
         """One frame: poses of the instances (n, 4, 4) and of the world (4, 4)."""

@@ -15,12 +15,12 @@ from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
-from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side
+from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side, scene_bin
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
 from simgen.rasterizer import Rasterizer
-from simgen.viewpoints import distance_range, draw_viewpoints
+from simgen.viewpoints import distance_range, draw_viewpoints, farthest_ground
 
 DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
 STEPS_PER_DIAMETER = 500  # 0.1 mm will do for objects of 5 cm and more
@@ -41,6 +41,10 @@ class Job:
     convex_parts: list[Part]
     depth_unit: float
 
+    def scene_bin(self, scene: int) -> BinSize:
+        """The bin of scene number `scene`."""
+        return scene_bin(self.config.pile, self.bin, self.config.seed, scene)
+
     def header(self) -> ShardHeader:
         config = self.config.to_json() | {"geometry_sha256": _fingerprint([_mesh_of(self.model), *self.convex_parts])}
         software = {name: version(name) for name in SOFTWARE}
@@ -54,8 +58,8 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
         InputError: the object is larger than the bin, or the camera cannot see it.
     """
     diameter, (vertices, _) = model.diameter, _mesh_of(model)
-    size = config.bin or fitting_bin(vertices, diameter, config.instances_max)
-    if min(size.width, size.depth) < diameter:
+    size = config.bin or fitting_bin(vertices, diameter, config.instances_max, config.pile)
+    if (1 - config.pile.bin_jitter) * min(size.width, size.depth) < diameter:
         raise InputError(
             f"--bin {size}: the object '{model.name}' is {diameter:g} m across; "
             "give a bin whose width and depth are larger, in metres, or --bin auto."
@@ -67,7 +71,9 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
         )
     _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
     _require_sight(config.camera, diameter, farthest)
-    unit = depth_unit_for(farthest + math.sqrt(2) * ground_half_side(size), diameter)
+    aside = config.viewpoints.look_at_jitter * math.hypot(size.width, size.depth)
+    corner = farthest + aside + math.sqrt(2) * (1 + config.pile.bin_jitter) * ground_half_side(size)
+    unit = depth_unit_for(min(corner, farthest_ground(config.viewpoints, config.camera, size, farthest)), diameter)
     return Job(replace(config, bin=size), size, model, convex_parts, unit)
 
 
@@ -107,7 +113,8 @@ def simulate_scene(job: Job, index: int) -> tuple[Scene, int]:
     config, diameter = job.config, job.model.diameter
     body = Body.from_parts(job.convex_parts, config.physics.simulated_diameter)
     instances = (config.instances_min, config.instances_max)
-    pile = simulate_pile(body, job.bin, instances, config.physics, config.seed, index)
+    size = job.scene_bin(index)
+    pile = simulate_pile(body, size, instances, config.physics, config.seed, index, config.pile)
     cam_from_world = draw_viewpoints(
         config.viewpoints, config.camera, job.bin, diameter, config.seed, index, config.views
     )
@@ -118,11 +125,12 @@ class SceneRenderer:
     """Turns scenes into labelled views; needs no physics."""
 
     def __init__(self, job: Job) -> None:
-        self._camera, self._unit, self._model = job.config.camera, job.depth_unit, job.model
+        self._job, self._camera, self._unit, self._model = job, job.config.camera, job.depth_unit, job.model
         self._rasterizer = Rasterizer(self._camera, *_mesh_of(job.model), bin_mesh(job.bin))
 
     def views(self, scene: Scene) -> Iterator[View]:
         """The scene's frames, one for each of its cameras."""
+        self._rasterizer.set_background(*bin_mesh(self._job.scene_bin(scene.index)))
         for view, cam_from_world in enumerate(scene.cam_from_world):
             cam_from_obj = cam_from_world @ scene.world_from_obj
             rendering = self._rasterizer.render(cam_from_obj, cam_from_world)
