@@ -7,7 +7,6 @@ import hashlib
 import json
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -40,7 +39,6 @@ CHARTS = {
     "ap_by_visibility",
 }  # fmt: skip
 SECTIONS = ("figures", "images", "published", "protocol")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 VOID = {"meta", "img", "br"}
 
 
@@ -310,21 +308,12 @@ window.addEventListener('load', () => {
 </script>"""
 
 
-def chromium(profile, *arguments):
-    if CHROMIUM is None:
-        pytest.skip("no chromium here")
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-             "--disable-component-update", "--disable-sync", "--hide-scrollbars", "--virtual-time-budget=10000",
-             f"--user-data-dir={profile}"]  # fmt: skip
-    return subprocess.run([CHROMIUM, *flags, *map(str, arguments)], capture_output=True, text=True, timeout=120).stdout
-
-
 @pytest.mark.parametrize("width", [1280, 500])
-def test_a_browser_loads_every_picture_asks_for_nothing_and_fits_the_width(page, tmp_path, width):
+def test_a_browser_loads_every_picture_asks_for_nothing_and_fits_the_width(page, chromium, tmp_path, width):
     probed = page.replace("default-src 'none'", "default-src 'none'; script-src 'unsafe-inline'")
     (tmp_path / "probed.html").write_text(probed.replace("<title>", f"{PROBE}<title>", 1), encoding="utf-8")
     address = (tmp_path / "probed.html").as_uri()
-    dom = chromium(tmp_path / "profile", f"--window-size={width},900", "--dump-dom", address)
+    dom = chromium(f"--window-size={width},900", "--dump-dom", address)
     found = json.loads(re.search(r'data-probe="([^"]*)"', dom)[1].replace("&quot;", '"'))
     assert found["images"] == len(CHARTS) + 4
     assert (found["broken"], found["blocked"], found["fetched"]) == (0, 0, [])
@@ -333,10 +322,10 @@ def test_a_browser_loads_every_picture_asks_for_nothing_and_fits_the_width(page,
     assert min(found["heights"]) > 100
 
 
-def test_a_browser_shows_the_page(folder, tmp_path):
+def test_a_browser_shows_the_page(folder, chromium, tmp_path):
     picture = tmp_path / "page.png"
     address = (folder / "report.html").as_uri()
-    chromium(tmp_path / "profile", "--window-size=1280,3000", f"--screenshot={picture}", address)
+    chromium("--window-size=1280,3000", f"--screenshot={picture}", address)
     shown = cv2.imread(str(picture))
     assert shown.shape[:2] == (3000, 1280)
     assert shown.std() > 20

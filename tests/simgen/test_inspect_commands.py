@@ -96,6 +96,12 @@ def test_object_draws_a_picture(brick: Path, tmp_path: Path) -> None:
     assert picture.shape[0] > 400 and picture.std() > 20
 
 
+def test_preview_writes_a_page_even_of_frames_without_instances(shards: Path, tmp_path: Path) -> None:
+    done = typed("preview", shards, "-o", tmp_path / "page.html")
+    assert done.exit_code == 0, done.output
+    assert "</html>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
 def test_preview_draws_a_picture(shards: Path, tmp_path: Path) -> None:
     done = typed("preview", shards, "-o", tmp_path / "sheet.png", "--frames", 2)
     assert done.exit_code == 0, done.output

@@ -17,11 +17,11 @@ from evalkit.charts import Chart, write_csv
 from evalkit.documents import GroundTruth, Predictions
 from evalkit.errors import InputError
 from evalkit.evaluation import Result, Subject, average_precision
+from evalkit.page import require_page_name
 from evalkit.picture import Confident, frames_by_id, spread, with_mesh_of
 from evalkit.report_page import Content, Overlay, render
 from evalkit.shards import ShardDataset
 
-SUFFIXES = (".html", ".htm")
 RESAMPLES = 1000
 FEWEST_SCENES = 10  # resamples of fewer say little about chance
 Shards = Path | str | Sequence[Path | str]
@@ -46,8 +46,7 @@ def save_report(
     Raises:
         InputError: a document or a setting cannot be used, or the shards have none of the images.
     """
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: the page's name must end in {' or '.join(SUFFIXES)}.")
+    require_page_name(path)
     result = average_precision(predictions, truth, **rules)
     confident = Confident.cut(predictions, truth, result)
     rows = breakdown.image_rows(result, confident.result, predictions)

@@ -1,13 +1,11 @@
-"""The HTML of a report: one page with its style and pictures inside. Whatever a user named is escaped."""
+"""The HTML of a report. Whatever a user named is escaped."""
 
 from __future__ import annotations
 
-import base64
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 
 import cv2
 import numpy as np
@@ -19,13 +17,13 @@ from evalkit.breakdown import ImageRow
 from evalkit.charts import Chart
 from evalkit.evaluation import Result, evalkit_version
 from evalkit.objects import ObjectModel
+from evalkit.page import chart_figure, counted, data_uri, decimals, facts, html_table, page, tile
 from evalkit.picture import LEGEND
 from evalkit.plots import rule
 from evalkit.published import Condition, Table
 
 ROWS_SHOWN, ROWS_UNFOLDED = 12, 500
 JPEG_QUALITY = 88
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"  # a browser then loads nothing, by law
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,36 +62,20 @@ class Content:
 
 def render(content: Content) -> str:
     """The whole page."""
-    name = escape(content.result.object_name)
-    style = files("evalkit").joinpath("report.css").read_text(encoding="utf-8")
     sections = (_header, _figures, _images, _published, _protocol)
-    body = "\n".join(section(content) for section in sections)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{name}: AP {content.result.ap:.3f}</title>
-<style>
-{style}</style>
-</head>
-<body>
-{body}
-</body>
-</html>
-"""
+    title = f"{content.result.object_name}: AP {content.result.ap:.3f}"
+    return page(title, "\n".join(section(content) for section in sections))
 
 
 def _header(content: Content) -> str:
     result = content.result
     tiles = [
-        _tile("MAP, mean over images", f"{result.map:.3f}", _interval(content, "map")),
-        _tile("best F1", f"{result.best_f1:.3f}", _interval(content, "best_f1")),
-        _tile("recall at precision 0.99", f"{result.recall_at_precision_99:.3f}"),
-        _tile("recall at precision 0.50", f"{result.recall_at_precision_50:.3f}"),
-        _tile("images", f"{result.counts['images']:,}", _images_in_words(content)),
-        _tile("instances to find", f"{result.counts['instances_to_find']:,}", f"of {result.counts['instances']:,}"),
+        tile("MAP, mean over images", f"{result.map:.3f}", _interval(content, "map")),
+        tile("best F1", f"{result.best_f1:.3f}", _interval(content, "best_f1")),
+        tile("recall at precision 0.99", f"{result.recall_at_precision_99:.3f}"),
+        tile("recall at precision 0.50", f"{result.recall_at_precision_50:.3f}"),
+        tile("images", f"{result.counts['images']:,}", _images_in_words(content)),
+        tile("instances to find", f"{result.counts['instances_to_find']:,}", f"of {result.counts['instances']:,}"),
     ]
     criterion = escape(rule(result.settings.criterion, result.settings.threshold))
     asked = f"instances at least {100 * result.settings.min_visibility:g} % visible"
@@ -108,11 +90,6 @@ def _header(content: Content) -> str:
 </header>"""
 
 
-def _tile(label: str, value: str, note: str = "") -> str:
-    small = f"<small>{escape(note)}</small>" if note else ""
-    return f"<div><dt>{escape(label)}</dt><dd>{escape(value)}{small}</dd></div>"
-
-
 def _interval(content: Content, key: str) -> str:
     found = content.intervals.get(key)
     return "" if found is None else f"{found.low:.3f} to {found.high:.3f}"
@@ -120,34 +97,23 @@ def _interval(content: Content, key: str) -> str:
 
 def _ap_interval(content: Content) -> str:
     if not content.intervals:
-        return f"no interval: {_counted(content.scenes, 'scene')} would be too few for one"
+        return f"no interval: {counted(content.scenes, 'scene')} would be too few for one"
     return f"{100 * LEVEL:g} % interval {_interval(content, 'ap')}, by bootstrap over {content.scenes:,} scenes"
 
 
 def _images_in_words(content: Content) -> str:
     missing = len(content.result.missing_images)
-    return f"of {_counted(content.scenes, 'scene')}" + (f"; {missing:,} without predictions" if missing else "")
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"of {counted(content.scenes, 'scene')}" + (f"; {missing:,} without predictions" if missing else "")
 
 
 def _figures(content: Content) -> str:
-    cells = [_chart(chart) for chart in content.charts]
+    cells = [chart_figure(chart) for chart in content.charts]
     return f"""<section id="figures">
 <h2>Figures</h2>
 <p class="soft">Each lies as PNG, and its numbers as CSV, in <code>{escape(content.folder)}/</code> beside this
 page.</p>
 <div class="grid">{"".join([*cells, _operating_point(content)])}</div>
 </section>"""
-
-
-def _chart(chart: Chart) -> str:
-    return f"""<figure id="{chart.name}"><h3>{escape(chart.title)}</h3>
-<img alt="{escape(chart.title)}" src="{_data_uri("image/svg+xml", chart.svg())}">
-<figcaption>{escape(chart.caption)}</figcaption></figure>
-"""
 
 
 def _operating_point(content: Content) -> str:
@@ -163,7 +129,7 @@ def _operating_point(content: Content) -> str:
         ("missed instances", f"{counts['missed']:,} of {counts['instances_to_find']:,}"),
     ]
     return f"""<figure id="operating_point"><h3>At the best F1</h3>
-{_table((), [(escape(words), value) for words, value in rows], "wide")}
+{html_table((), [(escape(words), value) for words, value in rows], "wide")}
 <figcaption>What a robot would act on. The pose errors, the pictures and the counts of each image are of these
 hypotheses; AP is of all.</figcaption></figure>
 """
@@ -203,8 +169,8 @@ def _overlay(number: int, overlay: Overlay) -> str:
     row, worst = overlay.row, ", among the worst" if overlay.worst else ""
     jpeg = cv2.imencode(".jpg", overlay.picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
     return f"""<figure id="overlay-{number}">
-<img alt="Poses on image {escape(row.id)}" src="{_data_uri("image/jpeg", jpeg)}">
-<figcaption><b>{escape(row.id)}</b>{worst}: AP {_number(row.ap)};
+<img alt="Poses on image {escape(row.id)}" src="{data_uri("image/jpeg", jpeg)}">
+<figcaption><b>{escape(row.id)}</b>{worst}: AP {decimals(row.ap)};
 {row.true} true, {row.false} false, {row.ignored} ignored, {row.missed} missed</figcaption></figure>
 """
 
@@ -221,7 +187,7 @@ def _image_table(content: Content, rows: Iterable[ImageRow]) -> str:
         )
         for row in rows
     ]
-    return _table(head, body, "wide")
+    return html_table(head, body, "wide")
 
 
 def _published(content: Content) -> str:
@@ -237,8 +203,8 @@ def _published(content: Content) -> str:
 {_published_table(table)}
 <div class="run"><h3>This run: {escape(result.object_name)}</h3>
 <strong>AP {result.ap:.3f}</strong>
-{escape(criterion)}, {_counted(result.counts["images"], "image")},
-{_counted(result.counts["instances_to_find"], "instance")} to find; {_ap_interval(content)}.</div>
+{escape(criterion)}, {counted(result.counts["images"], "image")},
+{counted(result.counts["instances_to_find"], "instance")} to find; {_ap_interval(content)}.</div>
 </div>
 <h3 style="margin-top: 1.8rem">What must be the same, and whether it is</h3>
 {_condition_table(conditions)}
@@ -264,7 +230,7 @@ def _published_table(table: Table) -> str:
         (escape(method), *(published.figure(table, value) for value in values)) for method, values in table.rows.items()
     ]
     return f"""<div><h3>{escape(table.title)}</h3>
-{_table(("method", *table.columns), rows, "wide")}
+{html_table(("method", *table.columns), rows, "wide")}
 <p class="source">{escape(published.measure_sentence(table))} On {escape(table.images)}.
 Source: {escape(table.source)}.</p></div>
 """
@@ -281,13 +247,13 @@ def _condition_table(conditions: Sequence[Condition]) -> str:
         )
         for condition in conditions
     ]
-    return _table(("", "published", "this run", "same"), rows, "words wide")
+    return html_table(("", "published", "this run", "same"), rows, "words wide")
 
 
 def _protocol(content: Content) -> str:
     result, model = content.result, content.object
     counts = result.counts
-    facts = [
+    entries = [
         ("Rules", escape(result.protocol)),
         ("Object", f"{escape(model.name)}, diameter {1000 * model.diameter:.4g} mm"),
         ("Symmetry", escape(result.symmetry)),
@@ -310,32 +276,9 @@ def _protocol(content: Content) -> str:
     ]
     return f"""<section id="protocol">
 <h2>Protocol, counts, hashes</h2>
-<dl class="facts">{"".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in facts)}</dl>
+{facts(entries)}
 </section>"""
 
 
 def _input(entry: dict[str, str]) -> str:
     return f"{escape(entry['file'])}<br><code>sha256 {escape(entry['sha256'])}</code>"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str | float]], style: str) -> str:
-    """Cells are HTML; the first of a row is its heading; a float is shown with a bar."""
-    columns = "".join(f"<th scope='col'>{escape(words)}</th>" for words in head)
-    body = "".join(f"<tr><th scope='row'>{first}</th>{''.join(map(_cell, rest))}</tr>" for first, *rest in rows)
-    top = f"<thead><tr>{columns}</tr></thead>" if head else ""
-    return f"<div class='scroll'><table class='{style}'>{top}<tbody>{body}</tbody></table></div>"
-
-
-def _cell(value: str | float) -> str:
-    if isinstance(value, str):
-        return f"<td>{value}</td>"
-    share = 0.0 if np.isnan(value) else value
-    return f"<td class='bar' style='--share: {share:.4f}'>{_number(value)}</td>"
-
-
-def _number(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.3f}"
-
-
-def _data_uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -46,18 +46,33 @@ def object_command(source: str, units: str, scale: float, symmetry: str, as_json
 
 @click.command("preview")
 @click.argument("shards", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("preview.png"), show_default=True)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("preview.png"),
+    show_default=True,
+    help="A picture (.png, .svg, .pdf), or a page with histograms, config and a scene in 3D (.html).",
+)
 @click.option("--frames", type=int, default=4, show_default=True, help="Frames to show, of different scenes.")
 def preview_command(shards: Path, output: Path, frames: int) -> None:
-    """Draw a contact sheet: depth, instances with their visibility, outlines and axes."""
+    """Draw a contact sheet: depth, instances with their visibility, outlines and axes; or a whole page."""
     if not 1 <= frames <= 40:
         raise InputError(f"--frames {frames}: must be 1 to 40.")
-    from evalkit.plots import save
+    from evalkit import page, plots
+    from evalkit.atomic import write_text
     from evalkit.shards import ShardDataset
     from simgen.preview import contact_sheet, spread_frames
+    from simgen.preview_page import preview_page
 
+    if output.suffix.lower() not in (*plots.SUFFIXES, *page.SUFFIXES):
+        raise InputError(f"{output}: its name must end in {', '.join(plots.SUFFIXES)} or {page.SUFFIXES[0]}.")
     dataset = ShardDataset(shards)
-    save(contact_sheet(dataset, spread_frames(dataset, frames)), output)
+    chosen = spread_frames(dataset, frames)
+    if output.suffix.lower() in page.SUFFIXES:
+        write_text(output, preview_page(dataset, chosen))
+    else:
+        plots.save(contact_sheet(dataset, chosen), output)
     click.echo(f"{output} written")
 
 
