@@ -66,6 +66,16 @@ def write_shard(path: Path, views: list[View], header: ShardHeader = HEADER, com
             writer.append(view)
 
 
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_noise_in_the_low_byte_does_not_keep_depth_from_being_compressed(tmp_path: Path, compression: str) -> None:
+    camera = Camera(200, 150, 300.0, 310.0, 95.0, 70.0)
+    noisy = np.random.default_rng(0).integers(5_120, 5_376, (150, 200), np.uint16)
+    view = replace(VIEWS[0], camera=camera, depth_raw=noisy, instance_id=np.zeros_like(noisy))
+    write_shard(tmp_path / "one.h5", [view], replace(HEADER, camera=camera), compression)
+    with h5py.File(tmp_path / "one.h5") as file:
+        assert file["depth"].id.get_storage_size() < 0.51 * noisy.nbytes
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Two shards of two scenes each, and dataset.json."""

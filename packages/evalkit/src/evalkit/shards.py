@@ -79,7 +79,7 @@ class ShardWriter:
             raise InputError(f"compression '{compression}' is not known; use one of {', '.join(COMPRESSIONS)}.")
         self.path, self.header, self.frames = Path(path), header, frames
         self._filters: dict[str, Any] = (
-            dict(hdf5plugin.Zstd(clevel=3)) if compression == "zstd" else {"compression": "gzip", "compression_opts": 4}
+            dict(hdf5plugin.Zstd(clevel=1)) if compression == "zstd" else {"compression": "gzip", "compression_opts": 4}
         )
         self._appended = 0
         self._rows: list[Instances] = []
@@ -141,9 +141,9 @@ class ShardWriter:
             self._dataset("object/vertices", head.object.vertices.astype("<f8"))
             self._dataset("object/faces", head.object.faces.astype("<i4"))
         shape = (head.camera.height, head.camera.width)
-        for name in ("depth", "instance_id"):
+        for name, shuffle in (("depth", True), ("instance_id", False)):  # depth's low bytes are noise, its high not
             file.create_dataset(
-                name, (self.frames, *shape), "<u2", chunks=(1, *shape), fletcher32=True, **self._filters
+                name, (self.frames, *shape), "<u2", chunks=(1, *shape), shuffle=shuffle, fletcher32=True, **self._filters
             )
 
     def _write_labels(self) -> None:
