@@ -46,11 +46,18 @@ class View:
     instances: Instances
     scene_index: int
     view_index: int
+    depth_ideal_raw: NDArray[np.uint16] | None = None  # (height, width), as no sensor's error has changed it, if kept
 
     @property
     def depth(self) -> NDArray[np.float32]:
         """Axial depth in metres (height, width), 0 = no return."""
         return self.depth_raw.astype(np.float32) * np.float32(self.depth_unit)
+
+    @property
+    def depth_ideal(self) -> NDArray[np.float32] | None:
+        """Axial depth in metres (height, width) without the sensor's errors, 0 = nothing there; None if not kept."""
+        ideal = self.depth_ideal_raw
+        return None if ideal is None else ideal.astype(np.float32) * np.float32(self.depth_unit)
 
     @property
     def image_id(self) -> str:

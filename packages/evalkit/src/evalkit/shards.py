@@ -3,6 +3,7 @@
 Per frame (F = scenes x views)::
 
     depth (F,H,W uint16)  instance_id (F,H,W uint16)  scene_index (F)  view_index (F)  cam_from_world (F,4,4)
+    depth_ideal (F,H,W uint16), where it was kept: depth without the sensor's errors
     frame_offset (F+1)    rows of frame f in the per-instance arrays: frame_offset[f] .. frame_offset[f+1]
 
 Per instance of each frame: the fields of :class:`evalkit.scene.Instances`. The mesh lies in ``object/vertices`` and
@@ -70,14 +71,17 @@ class ShardWriter:
     Use as a context manager; leaving it by an exception leaves no file.
 
     Raises:
-        InputError: `compression` is unknown, or fewer frames were appended than announced.
+        InputError: `compression` is unknown, fewer frames were appended than announced, or `keep_ideal` asks for
+            ideal depth that a frame lacks.
         OSError: the folder cannot be written.
     """
 
-    def __init__(self, path: Path | str, header: ShardHeader, frames: int, compression: str = "zstd") -> None:
+    def __init__(
+        self, path: Path | str, header: ShardHeader, frames: int, compression: str = "zstd", keep_ideal: bool = False
+    ) -> None:
         if compression not in COMPRESSIONS:
             raise InputError(f"compression '{compression}' is not known; use one of {', '.join(COMPRESSIONS)}.")
-        self.path, self.header, self.frames = Path(path), header, frames
+        self.path, self.header, self.frames, self.keep_ideal = Path(path), header, frames, keep_ideal
         self._filters: dict[str, Any] = (
             dict(hdf5plugin.Zstd(clevel=1)) if compression == "zstd" else {"compression": "gzip", "compression_opts": 4}
         )
@@ -100,6 +104,10 @@ class ShardWriter:
         """Add the next frame; frames come scene by scene, view by view."""
         self._file["depth"][self._appended] = view.depth_raw
         self._file["instance_id"][self._appended] = view.instance_id
+        if self.keep_ideal:
+            if view.depth_ideal_raw is None:
+                raise InputError(f"{self.path}: frame {view.image_id} has no ideal depth, which was to be kept.")
+            self._file["depth_ideal"][self._appended] = view.depth_ideal_raw
         self._rows.append(view.instances)
         self._per_frame.append((view.scene_index, view.view_index, view.cam_from_world))
         self._appended += 1
@@ -141,9 +149,17 @@ class ShardWriter:
             self._dataset("object/vertices", head.object.vertices.astype("<f8"))
             self._dataset("object/faces", head.object.faces.astype("<i4"))
         shape = (head.camera.height, head.camera.width)
-        for name, shuffle in (("depth", True), ("instance_id", False)):  # depth's low bytes are noise, its high not
+        names = ("depth", *(("depth_ideal",) if self.keep_ideal else ()), "instance_id")
+        for name in names:
+            shuffle = name != "instance_id"  # depth's low bytes are noise, its high not
             file.create_dataset(
-                name, (self.frames, *shape), "<u2", chunks=(1, *shape), shuffle=shuffle, fletcher32=True, **self._filters
+                name,
+                (self.frames, *shape),
+                "<u2",
+                chunks=(1, *shape),
+                shuffle=shuffle,
+                fletcher32=True,
+                **self._filters,
             )
 
     def _write_labels(self) -> None:
@@ -216,6 +232,11 @@ class ShardReader:
         rows = slice(self._offset[index], self._offset[index + 1])
         return Instances(*(self._labels[name][rows] for name in _INSTANCE_FIELDS))
 
+    @property
+    def has_ideal(self) -> bool:
+        """Whether the depth without the sensor's errors was kept."""
+        return "depth_ideal" in self._file
+
     def image_id(self, index: int) -> str:
         return f"{self._scene[index]:06d}-{self._view[index]:03d}"
 
@@ -243,6 +264,7 @@ class ShardReader:
             instances=self.labels(index),
             scene_index=int(self._scene[index]),
             view_index=int(self._view[index]),
+            depth_ideal_raw=self._pixels("depth_ideal", index) if self.has_ideal else None,
         )
 
     def _pixels(self, name: str, index: int) -> NDArray[np.uint16]:

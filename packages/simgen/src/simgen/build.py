@@ -90,7 +90,8 @@ def build_shard(job: Job, folder: Path, shard: int) -> ShardReport:
     numbers = job.config.scenes_of_shard(shard)
     renderer, redone = SceneRenderer(job), 0
     frames = len(numbers) * job.config.views
-    with ShardWriter(folder / shard_name(shard), job.header(), frames, job.config.compression) as writer:
+    path, ideal = folder / shard_name(shard), job.config.keep_ideal
+    with ShardWriter(path, job.header(), frames, job.config.compression, ideal) as writer:
         for number in numbers:
             scene, attempts = simulate_scene(job, number)
             redone += attempts - 1

@@ -15,6 +15,7 @@ from evalkit.command import Commands
 from evalkit.errors import InputError
 from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
 from simgen.inspect_commands import object_command, preview_command, verify_command
+from simgen.sensor_config import parse_sensor
 
 
 @click.group(cls=Commands)
@@ -55,6 +56,13 @@ def cli() -> None:
 @click.option("--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle.")
 @click.option("--bin-jitter", type=float, help="A scene's bin differs from the dataset's by up to this share.")
 @click.option("--walls", type=float, help="Share of the scenes whose bin has walls; in the others they are lifted off.")
+@click.option(
+    "--sensor",
+    "sensor_text",
+    metavar="ideal|stereo|kinect",
+    help="Depth camera; parameters follow: stereo,baseline=0.1.",
+)
+@click.option("--keep-ideal", is_flag=True, default=None, help="Store the depth without the sensor's errors too.")
 @click.option("--compression", help="zstd or gzip.")
 @click.option("--shard-scenes", type=int, help="Scenes a shard file.")
 def build_command(
@@ -70,7 +78,7 @@ def build_command(
         raise InputError(f"--workers {workers}: must be 1 or more.")
     from simgen.build import build  # here, for --help need not wait for numba and PyBullet
     from simgen.meshes import prepare_object
-    from simgen.scenes import plan
+    from simgen.scenes import camera_distances, plan
 
     prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry)
     for warning in prepared.warnings:
@@ -79,6 +87,8 @@ def build_command(
     click.echo(prepared.summary)
     click.echo(f"Bin {job.bin} m, depth unit {job.depth_unit:g} m.")
     click.echo(job.config.describe())
+    if config.sensor is not None:
+        click.echo(config.sensor.describe(config.camera, *camera_distances(job)))
     start = time.monotonic()
     report = build(job, output, workers)
     seconds = time.monotonic() - start
@@ -105,6 +115,7 @@ def _configured(
     look_at_jitter: float | None,
     bin_jitter: float | None,
     walls: float | None,
+    sensor_text: str | None,
     **numbers: Any,
 ) -> BuildConfig:
     """The preset with the options that were given in place of its values."""
@@ -113,6 +124,8 @@ def _configured(
         changes["instances_min"], changes["instances_max"] = parse_instances(instances)
     if bin_text is not None:
         changes["bin"] = parse_bin(bin_text)
+    if sensor_text is not None:
+        changes["sensor"] = parse_sensor(sensor_text)
     if camera_file is not None:
         if width is not None or height is not None:
             raise InputError("--camera: the file gives the image's size; leave --width and --height out.")

@@ -14,6 +14,7 @@ from typing import Any
 from evalkit.camera import Camera
 from evalkit.errors import InputError
 from evalkit.shards import COMPRESSIONS
+from simgen.sensor_config import SensorConfig
 
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
 MAX_COUNT = 10_000_000
@@ -141,7 +142,10 @@ class ViewpointConfig:
 
 @dataclass(frozen=True)
 class BuildConfig:
-    """One dataset. `bin` None chooses it from the object's size and the largest number of instances."""
+    """One dataset. `bin` None chooses it from the object's size and the largest number of instances.
+
+    `sensor` None is a perfect one; with another, `keep_ideal` stores the depth without its errors too.
+    """
 
     scenes: int
     views: int
@@ -155,6 +159,8 @@ class BuildConfig:
     pile: PileConfig = field(default_factory=PileConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     viewpoints: ViewpointConfig = field(default_factory=ViewpointConfig)
+    sensor: SensorConfig | None = None
+    keep_ideal: bool = False
 
     def __post_init__(self) -> None:
         for option, value in (
@@ -173,6 +179,8 @@ class BuildConfig:
             raise InputError(f"--seed {self.seed}: must be 0 or more.")
         if self.compression not in COMPRESSIONS:
             raise InputError(f"--compression {self.compression}: use one of {', '.join(COMPRESSIONS)}.")
+        if self.keep_ideal and self.sensor is None:
+            raise InputError("--keep-ideal: the depth is ideal already; give a --sensor, as in --sensor stereo.")
 
     @property
     def shards(self) -> int:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.camera import Camera
 from evalkit.errors import InputError
@@ -20,6 +21,7 @@ from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
 from simgen.rasterizer import Rasterizer
+from simgen.sensor import measure, sensor_generator
 from simgen.viewpoints import distance_range, draw_viewpoints, farthest_ground
 
 DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
@@ -69,12 +71,19 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
             f"--bin {size}: {config.instances_max} instances of '{model.name}' do not fit into it; "
             "give a larger --bin in metres or fewer --instances."
         )
-    _, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
+    nearest, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
     _require_sight(config.camera, diameter, farthest)
+    if config.sensor is not None:
+        config.sensor.require_range(config.camera, nearest)
     aside = config.viewpoints.look_at_jitter * math.hypot(size.width, size.depth)
     corner = farthest + aside + math.sqrt(2) * (1 + config.pile.bin_jitter) * ground_half_side(size)
     unit = depth_unit_for(min(corner, farthest_ground(config.viewpoints, config.camera, size, farthest)), diameter)
     return Job(replace(config, bin=size), size, model, convex_parts, unit)
+
+
+def camera_distances(job: Job) -> tuple[float, float]:
+    """Nearest and farthest distance in metres of the cameras from the bin's middle."""
+    return distance_range(job.config.viewpoints, job.config.camera, job.bin, job.model.diameter)
 
 
 def _require_sight(camera: Camera, diameter: float, farthest: float) -> None:
@@ -134,7 +143,7 @@ class SceneRenderer:
         for view, cam_from_world in enumerate(scene.cam_from_world):
             cam_from_obj = cam_from_world @ scene.world_from_obj
             rendering = self._rasterizer.render(cam_from_obj, cam_from_world)
-            depth = quantised(rendering.depth, self._unit)
+            depth = quantised(self._measured(rendering.depth, scene.index, view), self._unit)
             yield View(
                 camera=self._camera,
                 depth_raw=depth,
@@ -144,7 +153,16 @@ class SceneRenderer:
                 instances=label_instances(rendering, depth, cam_from_obj, self._model, self._camera),
                 scene_index=scene.index,
                 view_index=view,
+                depth_ideal_raw=quantised(rendering.depth, self._unit) if self._job.config.keep_ideal else None,
             )
+
+    def _measured(self, ideal: NDArray[np.float32], scene: int, view: int) -> NDArray[np.float32]:
+        """What the config's sensor tells of an ideal depth image (H, W), in metres."""
+        if self._job.config.sensor is None:
+            return ideal
+        return measure(
+            ideal, self._camera, self._job.config.sensor, sensor_generator(self._job.config.seed, scene, view)
+        )
 
 
 def _mesh_of(model: ObjectModel) -> Part:

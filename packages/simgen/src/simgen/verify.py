@@ -23,6 +23,10 @@ RIGID = 1e-6
 CENTER_PX = 0.01  # pixels; labels hold projections as float32
 SAME_PLACE = 1e-6  # diameters that an instance at rest may seem to move between views
 BOUNDS_SLACK = 1e-3  # diameters
+SOUND_SHARE = (
+    0.1  # of a well visible instance's pixels, where a sensor's errors are in the depth: tiny ones are all edge
+)
+SOUND_VISIBILITY, SOUND_PIXELS = 0.5, 50  # what well visible means
 PER_FRAME = ("scene_index", "view_index", "cam_from_world", "depth", "instance_id")
 
 
@@ -129,7 +133,8 @@ def _verify_shard(path: Path, report: Report, seen: dict[str, str]) -> None:
                 report.problems.append(Problem(path.name, frame, f"image {image_id} is in {seen[image_id]} already."))
             seen[image_id] = path.name
             view = reader[frame]
-            broken = [*broken_laws(view, reader.header.object), *_moved(view, reader.header.object, at_rest)]
+            noisy = reader.header.config.get("sensor") is not None
+            broken = [*broken_laws(view, reader.header.object, noisy), *_moved(view, reader.header.object, at_rest)]
             report.problems += [Problem(path.name, frame, sentence) for sentence in broken]
             report.frames += 1
             report.scenes.add(view.scene_index)
@@ -155,8 +160,12 @@ def broken_structure(path: Path | str) -> Iterator[str]:
             yield f"frame_offset does not divide the {rows} labels among the {frames} frames."
 
 
-def broken_laws(view: View, model: ObjectModel) -> Iterator[str]:
-    """The laws that one frame's labels break, in sentences; none for a sound frame."""
+def broken_laws(view: View, model: ObjectModel, noisy: bool = False) -> Iterator[str]:
+    """The laws that one frame's labels break, in sentences; none for a sound frame.
+
+    `noisy` depth has a sensor's errors: it is held to the geometry by its bulk alone, and pixel by pixel where the
+    ideal depth was kept.
+    """
     labels = view.instances
     if not _rigid(view.cam_from_world):
         yield "cam_from_world is not a rigid transform."
@@ -168,7 +177,8 @@ def broken_laws(view: View, model: ObjectModel) -> Iterator[str]:
     if not broken_ids:
         yield from _broken_counts(view)
         yield from _broken_boxes(view)
-        yield from _broken_geometry(view, model)
+        yield from _broken_centers(view, model)
+        yield from _broken_depth(view, model, noisy)
 
 
 def _broken_ids(view: View) -> Iterator[str]:
@@ -211,7 +221,7 @@ def _broken_boxes(view: View) -> Iterator[str]:
         yield f"box_full of {_names(view, wrong)} does not hold its silhouette."
 
 
-def _broken_geometry(view: View, model: ObjectModel) -> Iterator[str]:
+def _broken_centers(view: View, model: ObjectModel) -> Iterator[str]:
     labels, camera = view.instances, view.camera
     centers = model.centers(labels.cam_from_obj)
     before = centers[:, 2] > 0
@@ -220,13 +230,32 @@ def _broken_geometry(view: View, model: ObjectModel) -> Iterator[str]:
     wrong = before & ~(off <= CENTER_PX + 1e-6 * np.abs(labels.center_px).max(1, initial=0.0))
     if wrong.any():
         yield f"center_px of {_names(view, wrong)} is not the projection of its centroid."
-    v, u = np.nonzero((view.instance_id > 0) & (view.depth_raw > 0))
-    row = _row_of_id(view)[view.instance_id[v, u]]
-    distance = np.linalg.norm(camera.unproject(np.stack([u, v], -1), view.depth[v, u]) - centers[row], axis=1)
-    limit = model.diameter * (0.5 + BOUNDS_SLACK) + 2 * view.depth_unit
-    wrong = np.bincount(row[distance > limit], minlength=len(labels)) > 0
+
+
+def _broken_depth(view: View, model: ObjectModel, noisy: bool) -> Iterator[str]:
+    if view.depth_ideal is not None:
+        if (view.depth_raw[view.depth_ideal_raw == 0] > 0).any():
+            yield "depth has returns where depth_ideal has nothing."
+        outside, _ = _outside(view, view.depth_ideal, model)
+        if (outside > 0).any():
+            yield f"depth_ideal at the pixels of {_names(view, outside > 0)} is outside its bounding sphere."
+    outside, pixels = _outside(view, view.depth, model)
+    wrong = outside > 0
+    if noisy:
+        well_visible = (view.instances.visibility >= SOUND_VISIBILITY) & (pixels >= SOUND_PIXELS)
+        wrong = well_visible & (outside > (1 - SOUND_SHARE) * pixels)
     if wrong.any():
         yield f"depth at the pixels of {_names(view, wrong)} is outside its bounding sphere."
+
+
+def _outside(view: View, depth: NDArray[np.float32], model: ObjectModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of each label's pixels with depth: how many lie outside its bounding sphere (n,), and how many there are (n,)."""
+    v, u = np.nonzero((view.instance_id > 0) & (depth > 0))
+    row, points = _row_of_id(view)[view.instance_id[v, u]], view.camera.unproject(np.stack([u, v], -1), depth[v, u])
+    distance = np.linalg.norm(points - model.centers(view.instances.cam_from_obj)[row], axis=1)
+    limit = model.diameter * (0.5 + BOUNDS_SLACK) + 2 * view.depth_unit
+    count = len(view.instances)
+    return np.bincount(row[distance > limit], minlength=count), np.bincount(row, minlength=count)
 
 
 def _moved(
