@@ -111,6 +111,32 @@ def test_what_is_written_is_read_back(tmp_path: Path, compression: str) -> None:
     assert np.array_equal(head.object.vertices, MODEL.vertices) and np.array_equal(head.object.faces, MODEL.faces)
 
 
+def test_ideal_depth_is_read_back_where_it_was_kept(tmp_path: Path) -> None:
+    views = [replace(view, depth_ideal_raw=view.depth_raw[::-1].copy()) for view in VIEWS[:2]]
+    for keep in (True, False):
+        with ShardWriter(tmp_path / "s.h5", HEADER, 2, keep_ideal=keep) as writer:
+            for view in views:
+                writer.append(view)
+        with ShardReader(tmp_path / "s.h5") as reader:
+            assert reader.has_ideal == keep
+            for view, expected in zip(reader, views, strict=True):
+                assert_same_view(view, expected)
+                if keep:
+                    assert np.array_equal(view.depth_ideal_raw, expected.depth_raw[::-1])
+                    assert np.array_equal(view.depth_ideal, expected.depth[::-1])
+                else:
+                    assert view.depth_ideal_raw is None and view.depth_ideal is None
+
+
+def test_ideal_depth_that_is_not_there_cannot_be_kept(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match="no ideal depth"),
+        ShardWriter(tmp_path / "s.h5", HEADER, 1, keep_ideal=True) as writer,
+    ):
+        writer.append(VIEWS[0])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_same_views_make_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.h5", "b.h5"):
         write_shard(tmp_path / name, VIEWS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -50,17 +51,34 @@ def views_of(scene: int) -> list[View]:
 SCENE_VIEWS = [views_of(scene) for scene in range(SCENES)]
 
 
-@pytest.fixture
-def shards(tmp_path: Path) -> Path:
+def write(folder: Path, config: dict[str, object], scene_views: list[list[View]], keep_ideal: bool = False) -> Path:
     """A dataset of one scene a shard."""
-    header = ShardHeader(CAMERA, UNIT, MODEL, {"scenes": SCENES}, seed=1)
-    for scene, views in enumerate(SCENE_VIEWS):
-        with ShardWriter(tmp_path / shard_name(scene), header, VIEWS) as writer:
+    header = ShardHeader(CAMERA, UNIT, MODEL, config, seed=1)
+    for scene, views in enumerate(scene_views):
+        with ShardWriter(folder / shard_name(scene), header, VIEWS, keep_ideal=keep_ideal) as writer:
             for view in views:
                 writer.append(view)
     listed = [{"name": shard_name(scene), "scenes": [scene, scene + 1]} for scene in range(SCENES)]
-    write_dataset_file(tmp_path, header, listed)
-    return tmp_path
+    write_dataset_file(folder, header, listed)
+    return folder
+
+
+@pytest.fixture
+def shards(tmp_path: Path) -> Path:
+    return write(tmp_path, {"scenes": SCENES}, SCENE_VIEWS)
+
+
+def noisy(view: View) -> View:
+    """The view with one return in five of every instance far off, as at edges, and the depth without these."""
+    depth = view.depth_raw.copy()
+    depth[::5][(depth[::5] > 0) & (view.instance_id[::5] > 0)] += 3000
+    return replace(view, depth_raw=depth, depth_ideal_raw=view.depth_raw)
+
+
+@pytest.fixture(params=[True, False], ids=["ideal kept", "ideal not kept"])
+def noisy_shards(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    views = [[noisy(view) for view in views] for views in SCENE_VIEWS]
+    return write(tmp_path, {"sensor": {"model": "stereo"}}, views, keep_ideal=request.param)
 
 
 def change(path: Path, edit: Callable[[h5py.File], None]) -> None:
@@ -137,6 +155,58 @@ def test_a_broken_label_is_named_with_shard_and_frame(shards: Path, case: str) -
     assert any(words in problem.sentence for problem in report.problems), report.problems
     assert {(problem.shard, problem.frame) for problem in report.problems} == {(shard_name(1), 1)}
     assert f"{len(report.problems)} problem" in report.summary
+
+
+def test_outliers_of_a_sensor_are_no_problem(noisy_shards: Path) -> None:
+    assert verify_shards(noisy_shards).problems == []
+
+
+def test_outliers_where_no_sensor_was_asked_for_are_a_problem(tmp_path: Path) -> None:
+    folder = write(tmp_path, {"sensor": None}, [[noisy(view) for view in views] for views in SCENE_VIEWS])
+    problems = verify_shards(folder).problems
+    assert problems and all("outside its bounding sphere" in problem.sentence for problem in problems)
+
+
+def test_noisy_depth_of_quite_another_place_is_found(noisy_shards: Path) -> None:
+    def move(file: h5py.File) -> None:
+        depth = file["depth"][()]
+        depth[1][depth[1] > 0] += 3000
+        file["depth"][...] = depth
+
+    change(noisy_shards / shard_name(1), move)
+    (problem,) = verify_shards(noisy_shards).problems
+    assert problem.frame == 1 and problem.sentence.startswith("depth at the pixels of instance")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0, "where depth_ideal has nothing"), (9000, "depth_ideal at the pixels")]
+)
+def test_ideal_depth_is_held_to_the_geometry_pixel_by_pixel(tmp_path: Path, value: int, words: str) -> None:
+    views = [[noisy(view) for view in views] for views in SCENE_VIEWS]
+    folder = write(tmp_path, {"sensor": {"model": "stereo"}}, views, keep_ideal=True)
+
+    def edit(file: h5py.File) -> None:
+        ideal = file["depth_ideal"][()]
+        v, u = np.argwhere((file["instance_id"][1] > 0) & (ideal[1] > 0))[0]
+        ideal[1, v, u] = value
+        file["depth_ideal"][...] = ideal
+
+    change(folder / shard_name(1), edit)
+    (problem,) = verify_shards(folder).problems
+    assert problem.frame == 1 and words in problem.sentence
+
+
+def test_a_sealed_shard_with_too_few_ideal_frames_is_found(tmp_path: Path) -> None:
+    views = [[noisy(view) for view in views] for views in SCENE_VIEWS]
+    folder = write(tmp_path, {"sensor": {"model": "stereo"}}, views, keep_ideal=True)
+
+    def edit(file: h5py.File) -> None:
+        ideal = file["depth_ideal"][:1]
+        del file["depth_ideal"]
+        file["depth_ideal"] = ideal
+
+    change(folder / shard_name(0), edit)
+    assert any("depth_ideal holds 1 frames" in problem.sentence for problem in verify_shards(folder).problems)
 
 
 @pytest.mark.parametrize("offset", [[0, 5, 9], [1, 5, 10], [0, 11, 10]])

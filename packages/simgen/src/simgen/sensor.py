@@ -29,7 +29,7 @@ EDGE_REACH = 8  # pixels; farther from a step a surface counts as smooth
 CLOSE = 4  # pixels from a step within which wrong patches have their middles
 PATCH_RADIUS = (2.0, 5.0)  # pixels, of wrong patches
 PATCH_JUMP = 4.0  # pixels beyond its own rim from which a wrong patch may have its disparity
-FAILURE_BLUR = 2.0  # pixels; failures are where a field so smooth is lowest
+FAILURE_BLUR = 2.5  # pixels; failures are where a field so smooth is lowest
 # White noise plus two blurs of it, whose correlation is 0.63 / 0.44 / 0.32 / 0.17 at 1 / 2 / 3 / 5 pixels (DESIGN.md)
 NOISE_BLURS = ((2.5, 1.0), (9.5, 3.1))  # weight, standard deviation in pixels
 
@@ -179,30 +179,34 @@ def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-un
 
 
 def matching_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Standard normal numbers (H, W), correlated as neighbouring matching windows are."""
+    """Normal numbers (H, W) of variance 1, correlated as neighbouring matching windows are."""
     kernels = [(weight, _taps(deviation)) for weight, deviation in NOISE_BLURS]
     margin = max(len(taps) // 2 for _, taps in kernels)
-    white = _white(shape, margin, rng)
-    total = white[margin : margin + shape[0], margin : margin + shape[1]].copy()
     square = np.zeros((2 * margin + 1,) * 2)
     square[margin, margin] = 1
     for weight, taps in kernels:
-        spare = margin - len(taps) // 2
-        total += np.float32(weight) * _blurred(white, taps, margin)
-        square[spare : spare + len(taps), spare : spare + len(taps)] += weight * np.outer(taps, taps)
-    return np.asarray(total * np.float32(1 / np.linalg.norm(square)))
+        inside = slice(margin - len(taps) // 2, margin + len(taps) // 2 + 1)
+        square[inside, inside] += weight * np.outer(taps, taps)
+    white = rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
+    white *= np.float32(1 / np.linalg.norm(square))
+    total = white[margin : margin + shape[0], margin : margin + shape[1]].copy()
+    for weight, taps in kernels:
+        _add_blurred(white, taps, margin, np.float32(weight), total)
+    return total
 
 
 def failure_field(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Standard normal numbers (H, W) that vary slowly, so that where they are low are blobs."""
+    """Numbers (H, W) of mean 0 and variance 1 that vary slowly, so that where they are low are blobs.
+
+    Each is a weighted sum of hundreds of uniform numbers and so as good as normal.
+    """
     taps = _taps(FAILURE_BLUR)
     margin = len(taps) // 2
-    smooth = _blurred(_white(shape, margin, rng), taps, margin)
-    return np.asarray(smooth * np.float32(1 / np.sum(taps.astype(float) ** 2)))
-
-
-def _white(shape: tuple[int, ...], margin: int, rng: np.random.Generator) -> Image:
-    return rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
+    white = rng.random((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
+    white -= np.float32(0.5)
+    smooth = np.zeros(shape, np.float32)
+    _add_blurred(white, taps, margin, np.float32(math.sqrt(12) / np.sum(taps.astype(float) ** 2)), smooth)
+    return smooth
 
 
 def _taps(deviation: float) -> NDArray[np.float32]:
@@ -213,24 +217,22 @@ def _taps(deviation: float) -> NDArray[np.float32]:
 
 
 @_compiled
-def _blurred(field, taps, margin):  # type: ignore[no-untyped-def]
-    """`field` (H + 2 margin, W + 2 margin) convolved with `taps` along rows and columns: (H, W)."""
+def _add_blurred(field, taps, margin, weight, out):  # type: ignore[no-untyped-def]
+    """Add to `out` (H, W) `weight` times `field` (H + 2 margin, W + 2 margin) convolved with `taps` both ways."""
     reach = len(taps) // 2
-    height, width = field.shape[0] - 2 * margin, field.shape[1] - 2 * margin
+    height, width = out.shape
     first, rows = margin - reach, height + 2 * reach
     along = np.zeros((rows, width), np.float32)
     for v in range(rows):
         for k in range(len(taps)):
-            weight, line = taps[k], field[first + v]
+            tap, line = taps[k], field[first + v]
             for u in range(width):
-                along[v, u] += weight * line[first + k + u]
-    out = np.zeros((height, width), np.float32)
+                along[v, u] += tap * line[first + k + u]
     for v in range(height):
         for k in range(len(taps)):
-            weight, line = taps[k], along[v + k]
+            tap, line = weight * taps[k], along[v + k]
             for u in range(width):
-                out[v, u] += weight * line[u]
-    return out
+                out[v, u] += tap * line[u]
 
 
 @_compiled

@@ -124,7 +124,8 @@ def kinect() -> SensorConfig:
     Khoshelham & Elberink 2012: baseline 7.5 cm, disparity in steps of 1/8 px, a random error of half a step (1.4 mm at
     1 m, 4 cm at 5 m, growing with the square of the distance). Nguyen et al. 2012: axial noise grows with the slope,
     and edges are ragged by about a pixel, here by what is missing beside them. Where the projector's pattern does not
-    fall nothing returns. The shares missing on smooth surface and beside steps are assumptions.
+    fall nothing returns. Next to nothing is missing on smooth surface: 0 to 0.3 % in a frame of the ICVL dataset, whose
+    camera is of this kind. The share missing beside steps is an assumption.
     """
     return SensorConfig(
         model="kinect",
@@ -132,8 +133,8 @@ def kinect() -> SensorConfig:
         noise_px=1 / 16,
         noise_per_slope=0.3,
         quantum_px=1 / 8,
-        smooth_missing=0.01,
-        edge_missing=0.35,
+        smooth_missing=0.003,
+        edge_missing=0.25,
         edge_reach_px=1.5,
         step_px=0.5,
         shadow_missing=1.0,

@@ -152,7 +152,7 @@ def broken_structure(path: Path | str) -> Iterator[str]:
     with h5py.File(path, "r") as file:
         offset = np.asarray(file["frame_offset"])
         frames = len(file["scene_index"])
-        for name in PER_FRAME:
+        for name in (*PER_FRAME, *(("depth_ideal",) if "depth_ideal" in file else ())):
             if len(file[name]) != frames:
                 yield f"{name} holds {len(file[name])} frames where there are {frames}."
         rows = len(file["instance"])
