@@ -13,7 +13,8 @@ import click
 from evalkit.camera import Camera
 from evalkit.command import Commands
 from evalkit.errors import InputError
-from simgen.config import PRESETS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
+from simgen.config import PRESETS, RENDERERS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
+from simgen.gl_platform import require_gl
 from simgen.inspect_commands import object_command, preview_command, verify_command
 from simgen.sensor_config import parse_sensor
 
@@ -63,6 +64,7 @@ def cli() -> None:
     help="Depth camera; parameters follow: stereo,baseline=0.1.",
 )
 @click.option("--keep-ideal", is_flag=True, default=None, help="Store the depth without the sensor's errors too.")
+@click.option("--renderer", type=click.Choice(RENDERERS), help="What draws: ours on the CPU, or OpenGL; same labels.")
 @click.option("--compression", help="zstd or gzip.")
 @click.option("--shard-scenes", type=int, help="Scenes a shard file.")
 def build_command(
@@ -76,6 +78,8 @@ def build_command(
     workers = len(os.sched_getaffinity(0)) if workers is None else workers
     if workers < 1:
         raise InputError(f"--workers {workers}: must be 1 or more.")
+    if config.renderer == "pyrender":
+        require_gl()
     from simgen.build import build  # here, for --help need not wait for numba and PyBullet
     from simgen.meshes import prepare_object
     from simgen.scenes import camera_distances, plan

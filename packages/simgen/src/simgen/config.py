@@ -17,6 +17,7 @@ from evalkit.shards import COMPRESSIONS
 from simgen.sensor_config import SensorConfig
 
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
+RENDERERS = ("cpu", "pyrender")
 MAX_COUNT = 10_000_000
 MAX_INSTANCES = 65_534  # ids are uint16, 0 is nobody
 WALL_LESS_REACH = 4.0  # of the bin's half side: as far as the ground that is drawn is sure to reach
@@ -161,6 +162,7 @@ class BuildConfig:
     viewpoints: ViewpointConfig = field(default_factory=ViewpointConfig)
     sensor: SensorConfig | None = None
     keep_ideal: bool = False
+    renderer: str = "cpu"
 
     def __post_init__(self) -> None:
         for option, value in (
@@ -179,6 +181,8 @@ class BuildConfig:
             raise InputError(f"--seed {self.seed}: must be 0 or more.")
         if self.compression not in COMPRESSIONS:
             raise InputError(f"--compression {self.compression}: use one of {', '.join(COMPRESSIONS)}.")
+        if self.renderer not in RENDERERS:
+            raise InputError(f"--renderer {self.renderer}: use one of {', '.join(RENDERERS)}.")
         if self.keep_ideal and self.sensor is None:
             raise InputError("--keep-ideal: the depth is ideal already; give a --sensor, as in --sensor stereo.")
 

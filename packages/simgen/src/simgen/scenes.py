@@ -20,7 +20,7 @@ from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side, scen
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
-from simgen.rasterizer import Rasterizer
+from simgen.renderers import depth_renderer
 from simgen.sensor import measure, sensor_generator
 from simgen.viewpoints import distance_range, draw_viewpoints, farthest_ground
 
@@ -135,14 +135,15 @@ class SceneRenderer:
 
     def __init__(self, job: Job) -> None:
         self._job, self._camera, self._unit, self._model = job, job.config.camera, job.depth_unit, job.model
-        self._rasterizer = Rasterizer(self._camera, *_mesh_of(job.model), bin_mesh(job.bin))
+        mesh, background = _mesh_of(job.model), bin_mesh(job.bin)
+        self._renderer = depth_renderer(job.config.renderer, self._camera, mesh, background)
 
     def views(self, scene: Scene) -> Iterator[View]:
         """The scene's frames, one for each of its cameras."""
-        self._rasterizer.set_background(*bin_mesh(self._job.scene_bin(scene.index)))
+        self._renderer.set_background(*bin_mesh(self._job.scene_bin(scene.index)))
         for view, cam_from_world in enumerate(scene.cam_from_world):
             cam_from_obj = cam_from_world @ scene.world_from_obj
-            rendering = self._rasterizer.render(cam_from_obj, cam_from_world)
+            rendering = self._renderer.render(cam_from_obj, cam_from_world)
             depth = quantised(self._measured(rendering.depth, scene.index, view), self._unit)
             yield View(
                 camera=self._camera,
