@@ -12,6 +12,7 @@ from posenet import heatmap_detector, ops, rpn_detector
 from posenet.backbone import build_backbone
 from posenet.detector import Detections, Detector
 from posenet.heatmap_detector import HeatmapDetector
+from posenet.mean import Mean
 from posenet.rpn_detector import NEGATIVE, NEUTRAL, POSITIVE, RpnDetector
 
 HEIGHT, WIDTH = 96, 128
@@ -34,6 +35,14 @@ def detector(kind: str, channels: int = 64, stride: int = 8) -> Detector:
     return RpnDetector(
         channels, stride, (20.0, 28.0), hidden=64, fc_width=128, rois_per_image=64, candidates=500, max_detections=20
     )
+
+
+def losses_of(head: Detector, raw: object, boxes: list[Tensor], ignore: list[Tensor]) -> dict[str, Tensor]:
+    """The means, with the same draws each time."""
+    draws = [torch.Generator().manual_seed(n) for n in range(len(boxes))]
+    found = head.losses(raw, boxes, ignore, draws)
+    assert all(isinstance(part, Mean) for part in found.values())
+    return {name: part.value for name, part in found.items()}
 
 
 def rectangles(generator: torch.Generator, count: int) -> tuple[Tensor, Tensor]:
@@ -75,7 +84,7 @@ def test_a_detector_learns_to_find_rectangles_and_to_leave_an_empty_image_empty(
     optimizer = torch.optim.AdamW(parameters)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps)
     for _ in range(steps):
-        loss = torch.stack(list(head.losses(head(trunk(batch), (HEIGHT, WIDTH)), truth, ignore).values())).sum()
+        loss = torch.stack(list(losses_of(head, head(trunk(batch), (HEIGHT, WIDTH)), truth, ignore).values())).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -96,7 +105,7 @@ def test_losses_are_finite_and_reach_every_parameter(kind: str, count: int) -> N
     head = detector(kind)
     features = torch.randn(2, 64, 12, 16, requires_grad=True)
     boxes = [rectangles(torch.Generator().manual_seed(n), count)[1] for n in range(2)]
-    losses = head.losses(head(features, (HEIGHT, WIDTH)), boxes, [NONE, NONE])
+    losses = losses_of(head, head(features, (HEIGHT, WIDTH)), boxes, [NONE, NONE])
     torch.stack(list(losses.values())).sum().backward()
     assert all(loss.ndim == 0 and torch.isfinite(loss) and loss >= 0 for loss in losses.values())
     missing = [name for name, p in head.named_parameters() if p.grad is None or not torch.isfinite(p.grad).all()]
@@ -129,7 +138,7 @@ def test_the_same_seed_gives_the_same_losses_and_detections(kind: str) -> None:
         head = detector(kind)
         boxes = [rectangles(torch.Generator().manual_seed(1), 4)[1]]
         raw = head(torch.randn(1, 64, 12, 16), (HEIGHT, WIDTH))
-        losses = [float(loss.detach()) for loss in head.losses(raw, boxes, [NONE]).values()]
+        losses = [float(loss.detach()) for loss in losses_of(head, raw, boxes, [NONE]).values()]
         return losses, [part for found in head.detect(raw) for part in found]
 
     (losses, found), (losses_again, found_again) = once(), once()
@@ -146,7 +155,7 @@ def test_losses_do_not_depend_on_the_order_of_the_boxes(kind: str) -> None:
     losses = []
     for order in (torch.arange(5), torch.tensor([3, 1, 4, 0, 2])):
         torch.manual_seed(1)
-        losses.append(torch.stack(list(head.losses(raw, [boxes[order]], [NONE]).values())))
+        losses.append(torch.stack(list(losses_of(head, raw, [boxes[order]], [NONE]).values())))
     tolerance = 1e-5 if kind == "heatmap" else 0.2  # the second stage samples its regions at random
     torch.testing.assert_close(losses[0], losses[1], atol=tolerance, rtol=0)
 
@@ -159,7 +168,7 @@ def test_detectors_run_in_bfloat16_and_channels_last(kind: str) -> None:
     boxes = [rectangles(torch.Generator().manual_seed(1), 3)[1]] * 2
     with torch.autocast("cpu", dtype=torch.bfloat16):
         raw = head(features, (HEIGHT, WIDTH))
-        losses = head.losses(raw, boxes, [NONE, NONE])
+        losses = losses_of(head, raw, boxes, [NONE, NONE])
         found = head.detect(raw)
     torch.stack(list(losses.values())).sum().backward()
     assert all(loss.dtype == torch.float32 for loss in losses.values())
@@ -217,8 +226,8 @@ def test_an_ignored_box_silences_the_negatives_at_its_centre_and_is_no_positive(
     assert not targets.center.any() and not targets.learns_box.any()
     surely_there = torch.full((1, 12, 16), -10.0)
     surely_there[0, 6, 6] = 10.0
-    with_ignore = heatmap_detector.focal_loss(surely_there, targets.bell[None], targets.center[None])
-    without = heatmap_detector.focal_loss(surely_there, torch.zeros(1, 12, 16), targets.center[None])
+    with_ignore = heatmap_detector.focal_loss(surely_there, targets.bell[None], targets.center[None]).value
+    without = heatmap_detector.focal_loss(surely_there, torch.zeros(1, 12, 16), targets.center[None]).value
     assert with_ignore < 1e-3
     assert without > 5
 
@@ -275,16 +284,16 @@ def test_without_boxes_every_candidate_is_negative() -> None:
 
 
 def test_a_sample_takes_its_share_of_positives_then_the_preferred_negatives() -> None:
-    torch.manual_seed(0)
+    draw = torch.Generator().manual_seed(0)
     labels = torch.tensor([POSITIVE] * 40 + [NEGATIVE] * 100 + [NEUTRAL] * 100)
     preferred = torch.zeros(240, dtype=torch.bool)
     preferred[40:60] = True
-    chosen = rpn_detector.sample(labels, 64, 0.25, preferred)
+    chosen = rpn_detector.sample(labels, 64, 0.25, draw, preferred)
     assert len(chosen) == len(set(chosen.tolist())) == 64
     assert (labels[chosen] == POSITIVE).sum() == 16
     assert (labels[chosen] == NEGATIVE).sum() == 48
     assert set(range(40, 60)) <= set(chosen.tolist())
-    assert len(rpn_detector.sample(labels[140:], 64, 0.5)) == 0
+    assert len(rpn_detector.sample(labels[140:], 64, 0.5, draw)) == 0
 
 
 def test_perfect_deltas_propose_the_boxes_themselves() -> None:

@@ -19,6 +19,7 @@ from posenet import backbone, losses, trainer
 from posenet.config import TASKS, Config, preset, with_options
 from posenet.dataset import Frames
 from posenet.fit_options import FitOptions
+from posenet.mean import Mean
 from posenet.network import PoseNetwork
 from posenet.predict import Predictor
 from posenet.train import fit
@@ -34,6 +35,7 @@ ABLATIONS = [
     ("network", {"registration": False}),
     ("network", {"hypotheses": 1}),
     ("network", {"orientation": "egocentric"}),
+    ("network", {"norm": "group"}),
     ("loss", {"registration_weights": "paper"}),
     ("loss", {"registration_weights": "balanced"}),
     ("loss", {"tasks": ("depth",)}),
@@ -196,7 +198,7 @@ def test_a_gradient_that_is_not_finite_stops_before_it_spoils_the_weights(
 ) -> None:
     real = losses.total
 
-    def finite_with_an_infinite_slope(found: dict[str, torch.Tensor], config: object) -> torch.Tensor:
+    def finite_with_an_infinite_slope(found: dict[str, Mean], config: object) -> torch.Tensor:
         value = real(found, config)  # type: ignore[arg-type]
         return value + (value - value.detach()).abs().sqrt()
 

@@ -94,7 +94,7 @@ def stop_and_resume(shards: Path, folder: Path, signals: list[signal.Signals], e
         assert all(torch.equal(a[key], b[key]) for key in a), name
     a, b = (read_torch_file(run / "checkpoint.pt") for run in (whole, stopped))
     assert all(torch.equal(a["weights"][key], b["weights"][key]) for key in a["weights"])
-    assert torch.equal(a["random"], b["random"]) and a["step"] == b["step"]
+    assert a["step"] == b["step"]
     assert [row["step"] for row in a["history"]] == [row["step"] for row in b["history"]]
     assert not list(stopped.glob("*.tmp"))
 

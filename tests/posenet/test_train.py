@@ -16,6 +16,7 @@ from posenet import trainer
 from posenet.config import Config, preset, with_options
 from posenet.dataset import Frames
 from posenet.fit_options import FitOptions
+from posenet.mean import Mean
 from posenet.model_file import load_model
 from posenet.schedule import Budget, learning_rate_factor
 from posenet.train import fit
@@ -46,7 +47,7 @@ def test_every_part_gets_a_gradient(debug_shards: Path, tmp_path: Path, changes:
     torch.manual_seed(0)
     batch = Frames(debug_shards).batch(np.arange(2))
     found = network.train()(batch, 2)
-    torch.stack(list(found.values())).sum().backward()
+    torch.stack([part.value for part in found.values()]).sum().backward()
     without = [name for name, p in network.named_parameters() if p.grad is None or not torch.isfinite(p.grad).all()]
     assert without == []
 
@@ -76,7 +77,7 @@ def test_images_without_instances_train(debug_shards: Path) -> None:
         network = PoseNetwork(
             dataclasses.replace(config, network=network_config), frames.model, (0.3, 0.6), frames.camera
         )
-        loss = torch.stack(list(network(empty, 1).values())).sum()
+        loss = torch.stack([part.value for part in network(empty, 1).values()]).sum()
         loss.backward()
         assert torch.isfinite(loss)
 
@@ -122,7 +123,7 @@ def test_a_nan_loss_stops_with_a_sentence_and_keeps_the_checkpoint(
 ) -> None:
     real = trainer.losses.total
 
-    def poisoned(found: dict[str, torch.Tensor], config: object) -> torch.Tensor:
+    def poisoned(found: dict[str, Mean], config: object) -> torch.Tensor:
         return real(found, config) * math.nan  # type: ignore[arg-type]
 
     fit(options(debug_shards, tmp_path / "run", epochs=1))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from evalkit.errors import InputError
+from posenet.normalisation import build_normalisation
 
 VGG16_WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512)  # 0: halve by max-pooling
 
@@ -30,8 +31,8 @@ class Backbone(nn.Module):
         return self.features(images)
 
 
-def build_backbone(name: str, in_channels: int) -> Backbone:
-    """The trunk of that name: vgg16 (stride 16), vgg_small or vgg_debug (stride 8).
+def build_backbone(name: str, in_channels: int, norm: str = "batch") -> Backbone:
+    """The trunk of that name: vgg16 (stride 16, which has no normalisation), vgg_small or vgg_debug (stride 8).
 
     Raises:
         InputError: there is no trunk of that name.
@@ -39,9 +40,9 @@ def build_backbone(name: str, in_channels: int) -> Backbone:
     if name == "vgg16":
         return vgg16(in_channels)
     if name == "vgg_small":
-        return thin_vgg(in_channels)
+        return thin_vgg(in_channels, norm=norm)
     if name == "vgg_debug":
-        return thin_vgg(in_channels, widths=(16, 32, 64))
+        return thin_vgg(in_channels, widths=(16, 32, 64), norm=norm)
     raise InputError(f"backbone '{name}' is not known; use vgg16, vgg_small or vgg_debug.")
 
 
@@ -123,9 +124,8 @@ def _read_state_dict(path: Path) -> dict[str, Tensor]:
 def _convolution(
     in_channels: int, width: int, norm: str, kernel: int = 3, stride: int = 1, dilation: int = 1
 ) -> list[nn.Module]:
-    normalisation = nn.BatchNorm2d(width) if norm == "batch" else nn.GroupNorm(8, width)
     convolution = nn.Conv2d(in_channels, width, kernel, stride, padding=dilation, dilation=dilation, bias=False)
-    return [convolution, normalisation, nn.ReLU(inplace=True)]
+    return [convolution, build_normalisation(norm, width), nn.ReLU(inplace=True)]
 
 
 def _initialise(backbone: Backbone) -> None:

@@ -27,6 +27,13 @@ def main() -> None:
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Train for so long.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Train for so many passes over the shards.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option(
+    "--devices",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="GPUs, or processes on the CPU, that share every batch; the result is that of one.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Peak learning rate.")
 @click.option("--batch-images", type=click.IntRange(min=1), help="Images a step.")
@@ -46,6 +53,10 @@ def main() -> None:
 @click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
 @click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
+@click.option(
+    "--norm", type=click.Choice(["batch", "group"]), default=None, help="Layers that normalise; group for tiny batches."
+)
+@click.option("--precision", type=click.Choice(["auto", "32", "bf16"]), default=None, help="Of the layers.")
 @click.option("--tasks", help=f"Heads that learn; the others' losses are off.  [default: {','.join(TASKS)}]")
 def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options: Any) -> None:
     """Train a network on SHARDS: a folder that `simgen build` wrote, or shard files.
@@ -68,6 +79,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
             minutes=options["minutes"],
             epochs=options["epochs"],
             device=options["device"],
+            devices=options["devices"],
             seed=options["seed"],
             validate=options["validation"],
             backbone_weights=options["backbone_weights"],
@@ -78,12 +90,12 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     click.echo(_summary(run.path))
 
 
-_TRAIN_OPTIONS = ("learning_rate", "batch_images", "schedule", "ema", "augment_noise", "augment_holes")
+_TRAIN_OPTIONS = ("learning_rate", "batch_images", "schedule", "ema", "precision", "augment_noise", "augment_holes")
 
 
 def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     config = preset(preset_name)
-    network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation")}
+    network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation", "norm")}
     config = with_options(config, "network", **network)
     tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None
     config = with_options(config, "loss", registration_weights=options["registration_weights"], tasks=tasks)

@@ -31,6 +31,7 @@ class NetworkConfig:
     crop_size: int = 32  # a raw crop of relative depth and normals beside the trunk's features; 0: none
     fc_width: int = 512
     dropout: float = 0.0
+    norm: Literal["batch", "group"] = "batch"  # over a step's images, or within each; vgg16 has none
     angle_bins: tuple[int, int, int] = (30, 13, 30)  # in-plane a, tilt b, spin c
     depth_bins: int = 140
     depth: Literal["absolute", "relative"] = "relative"  # bins over camera distance, or about the region's median

@@ -64,8 +64,8 @@ class Frames:
         picked = np.linspace(0, len(validation) - 1, min(most_images, len(validation))).round().astype(int)
         return Split(np.flatnonzero(~is_held_out), validation[picked])
 
-    def batch(self, frames: NDArray[np.int64]) -> Batch:
-        """The frames' images and labels."""
+    def batch(self, frames: NDArray[np.int64], seeds: tuple[int, ...] | None = None) -> Batch:
+        """The frames' images and labels; `seeds` (one a frame) decide what a training step leaves to chance."""
         views = [self.dataset[int(frame)] for frame in frames]
         intrinsics = intrinsics_of(self.camera).expand(len(views), 4)
         labels = [view.instances for view in views]
@@ -75,6 +75,7 @@ class Frames:
             poses=[torch.from_numpy(part.cam_from_obj).float() for part in labels],
             boxes=[torch.from_numpy(part.box_visible).float() for part in labels],
             visibility=[torch.from_numpy(part.visibility) for part in labels],
+            seeds=seeds if seeds is not None else step_seeds(0, 0, frames),
         )
 
     def depth_range(self, frames: NDArray[np.int64], min_visibility: float, most: int = 2000) -> tuple[float, float]:
@@ -107,3 +108,11 @@ def intrinsics_of(camera: Camera) -> torch.Tensor:
 def epoch_order(frames: NDArray[np.int64], seed: int, epoch: int) -> NDArray[np.int64]:
     """The order of an epoch: the same for a seed and an epoch, so that a resumed run sees what an unbroken one does."""
     return np.random.default_rng([seed, 2, epoch]).permutation(frames)
+
+
+def step_seeds(seed: int, step: int, frames: NDArray[np.int64]) -> tuple[int, ...]:
+    """A seed (63 bits) for each image of a step: whatever shares the batch or came before, its draws are the same."""
+    words = [
+        np.random.SeedSequence(seed, spawn_key=(4, step, int(frame))).generate_state(1, np.uint64) for frame in frames
+    ]
+    return tuple(int(word[0] >> np.uint64(1)) for word in words)

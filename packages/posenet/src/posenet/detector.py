@@ -5,7 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
+
+from posenet.mean import Mean
 
 
 class Detections(NamedTuple):
@@ -27,10 +30,13 @@ class Detector(nn.Module, ABC):
         """Raw outputs from features (B, C, h, w) of images of `image_size` (height, width)."""
 
     @abstractmethod
-    def losses(self, raw: Any, targets: list[Tensor], ignore: list[Tensor]) -> dict[str, Tensor]:
-        """Named scalars whose sum is to be minimised; per image boxes (n, 4) to find and boxes (m, 4) to ignore.
+    def losses(
+        self, raw: Any, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
+    ) -> dict[str, Mean]:
+        """Named losses whose sum is to be minimised; per image boxes (n, 4) to find and boxes (m, 4) to ignore.
 
-        Images without any instance are taken. Every parameter takes part, if only with a gradient of zero.
+        What is left to chance in an image is drawn from its generator (on the CPU) among `draws`. Images without any
+        instance are taken. Every parameter takes part, if only with a gradient of zero.
         """
 
     @abstractmethod

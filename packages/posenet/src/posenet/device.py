@@ -7,12 +7,19 @@ import torch
 from evalkit.errors import InputError
 
 
-def choose_device(name: str) -> torch.device:
-    """`auto` is CUDA when there is a GPU, else the CPU.
+def choose_device(name: str, count: int = 1) -> torch.device:
+    """`auto` is CUDA when there is a GPU, else the CPU; `count` of them are wanted.
 
     Raises:
-        InputError: the device is unknown or absent.
+        InputError: the device is unknown or absent, or there are not so many.
     """
+    device = _device(name)
+    if device.type == "cuda" and count > torch.cuda.device_count():
+        raise InputError(f"--devices {count}: PyTorch sees {torch.cuda.device_count()} GPU(s) here; give no more.")
+    return device
+
+
+def _device(name: str) -> torch.device:
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:

@@ -20,6 +20,7 @@ class FitOptions:
     minutes: float | None = None
     epochs: int | None = None
     device: str = "auto"
+    devices: int = 1  # GPUs, or processes on the CPU, that share every batch
     seed: int = 0
     validate: bool = True
     backbone_weights: Path | None = None  # ImageNet's VGG16, torchvision's file

@@ -14,6 +14,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from posenet.detector import Detections, Detector
+from posenet.mean import Mean
+from posenet.normalisation import build_normalisation
 from posenet.ops import clip_boxes, nms
 
 PRIOR = 0.1  # probability of a centre that an untrained heatmap shows; RetinaNet's start, lest negatives swamp it
@@ -57,6 +59,7 @@ class HeatmapDetector(Detector):
         min_score: float = 0.1,
         nms_iou: float = 0.55,
         box_weight: float = 0.5,
+        norm: str = "batch",
     ) -> None:
         super().__init__()
         self.stride = stride
@@ -67,7 +70,9 @@ class HeatmapDetector(Detector):
         self.nms_iou = nms_iou
         self.box_weight = box_weight
         self.shared = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels), nn.ReLU(inplace=True)
+            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+            build_normalisation(norm, channels),
+            nn.ReLU(inplace=True),
         )
         self.heatmap = nn.Conv2d(channels, 1, 1)
         self.distances = nn.Conv2d(channels, 4, 1)
@@ -81,7 +86,9 @@ class HeatmapDetector(Detector):
         boxes = torch.cat([centers - distances[..., :2], centers + distances[..., 2:]], -1)
         return HeatmapOutputs(logits, boxes, image_size)
 
-    def losses(self, raw: HeatmapOutputs, targets: list[Tensor], ignore: list[Tensor]) -> dict[str, Tensor]:
+    def losses(
+        self, raw: HeatmapOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
+    ) -> dict[str, Mean]:
         """`heatmap`: penalty-reduced focal loss (CenterNet, eq. 1); `box`: L1 over the sides in object sizes."""
         grid = [
             center_targets(boxes.float(), ignored.float(), raw.logits.shape[-2:], self.stride)
@@ -93,8 +100,8 @@ class HeatmapDetector(Detector):
         wanted = torch.cat(
             [boxes.float()[image.box[image.learns_box]] for boxes, image in zip(targets, grid, strict=True)]
         )
-        box = F.l1_loss(predicted, wanted, reduction="sum") / (self.object_size * max(len(wanted), 1))
-        return {"heatmap": focal_loss(raw.logits, bell, center), "box": self.box_weight * box}
+        box = self.box_weight / self.object_size * F.l1_loss(predicted, wanted, reduction="sum")
+        return {"heatmap": focal_loss(raw.logits, bell, center), "box": Mean.of(box, len(wanted))}
 
     @torch.no_grad()
     def detect(self, raw: HeatmapOutputs) -> list[Detections]:
@@ -165,12 +172,12 @@ def _assigned(squared: Tensor, side: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return distance == 0, nearest, distance <= 2 * REACH**2
 
 
-def focal_loss(logits: Tensor, bell: Tensor, center: Tensor) -> Tensor:
-    """Penalty-reduced pixelwise focal loss with alpha = 2, beta = 4 (CenterNet, eq. 1): (..., h, w) -> scalar.
+def focal_loss(logits: Tensor, bell: Tensor, center: Tensor) -> Mean:
+    """Penalty-reduced pixelwise focal loss with alpha = 2, beta = 4 (CenterNet, eq. 1), of (..., h, w), a centre.
 
     An ignored instance lowers the penalty around its centre as any other does, without being a positive.
     """
     probability = logits.sigmoid()
     positive = (1 - probability).square() * F.logsigmoid(logits)
     negative = (1 - bell).pow(4) * probability.square() * F.logsigmoid(-logits)
-    return -torch.where(center, positive, negative).sum() / center.sum().clamp(min=1)
+    return Mean.of(-torch.where(center, positive, negative), center.sum())

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from posenet.config import TASKS, LossConfig
+from posenet.mean import Mean
 from posenet.pose_codec import PoseCodec, PoseLabels
 from posenet.pose_heads import PoseOutputs
 from posenet.sym_distance import SymDistance
@@ -19,12 +20,10 @@ LEAST_ANGLE_WEIGHT = 0.15
 
 def pose_losses(
     outputs: PoseOutputs, labels: PoseLabels, codec: PoseCodec, distance: SymDistance, config: LossConfig
-) -> dict[str, Tensor]:
-    """Unweighted losses of n regions, each a scalar; zero, with a gradient, for n = 0."""
-    if len(labels.depth) == 0:
-        nothing = outputs.offset.sum() + outputs.depth.sum() + sum(angle.sum() for angle in outputs.angles)
-        return {"offset": nothing * 0.0}
-    losses = {"depth": cross_entropy(outputs.depth, codec.depth_bins.labels(labels.depth, config.depth_sigma)).mean()}
+) -> dict[str, Mean]:
+    """Unweighted losses of n regions; of none too, with a gradient of zero."""
+    depth_labels = codec.depth_bins.labels(labels.depth, config.depth_sigma)
+    losses = {"depth": Mean.of(cross_entropy(outputs.depth, depth_labels))}
     if codec.config.offset:
         losses["offset"] = offset_loss(outputs.offset, labels.offset, config.offset_norm)
     # a and c mean little where the object's z lies along the ray: only their sum (or difference) does.
@@ -34,10 +33,10 @@ def pose_losses(
     ):
         if bins.count > 1:
             loss = cross_entropy(logits, bins.labels(angle, config.angle_sigma))
-            losses[f"angle_{name}"] = loss.mean() if name == "b" else (loss * sine).mean()
+            losses[f"angle_{name}"] = Mean.of(loss if name == "b" else loss * sine)
     if codec.config.regress_rotation and codec.estimates_tilt:
         squared = distance.rotation_squared(outputs.rotation, labels.rotation)
-        losses["rotation"] = (squared + 1e-8).sqrt().mean() / codec.model.threshold
+        losses["rotation"] = Mean.of((squared + 1e-8).sqrt() / codec.model.threshold)
     return losses
 
 
@@ -46,11 +45,11 @@ def cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
     return -(target * logits.log_softmax(-1)).sum(-1)
 
 
-def offset_loss(predicted: Tensor, target: Tensor, norm: str) -> Tensor:
+def offset_loss(predicted: Tensor, target: Tensor, norm: str) -> Mean:
     """L1 as the paper has it, or smooth L1 that is quadratic below a tenth of the region's side."""
     if norm == "l1":
-        return F.l1_loss(predicted, target)
-    return F.smooth_l1_loss(predicted, target, beta=0.1)
+        return Mean.of(F.l1_loss(predicted, target, reduction="none"))
+    return Mean.of(F.smooth_l1_loss(predicted, target, beta=0.1, reduction="none"))
 
 
 def weight_of(name: str, config: LossConfig) -> float:
@@ -69,6 +68,7 @@ def weight_of(name: str, config: LossConfig) -> float:
     }.get(task, config.detection)
 
 
-def total(losses: dict[str, Tensor], config: LossConfig) -> Tensor:
-    """The weighted sum of all losses."""
-    return torch.stack([weight_of(name, config) * loss for name, loss in losses.items()]).sum()
+def total(losses: dict[str, Mean], config: LossConfig, counts: dict[str, Mean] | None = None) -> Tensor:
+    """The weighted sum of all losses; with `counts` of several processes, this one's addend to the sum of them all."""
+    means = {name: (loss if counts is None else Mean(loss.total, counts[name].over)) for name, loss in losses.items()}
+    return torch.stack([weight_of(name, config) * mean.value for name, mean in means.items()]).sum()

@@ -20,6 +20,7 @@ from posenet.config import Config, NetworkConfig
 from posenet.detector import Detections, Detector
 from posenet.heatmap_detector import HeatmapDetector
 from posenet.hypotheses import Hypotheses
+from posenet.mean import Mean
 from posenet.ops import roi_align
 from posenet.pose_codec import PoseCodec
 from posenet.pose_heads import PoseHeads, PoseOutputs
@@ -58,7 +59,9 @@ class _Scored(NamedTuple):
 def build_detector(config: NetworkConfig, backbone: Backbone, object_size: float) -> Detector:
     """The detector that `config` names; `object_size` is the object's diameter in pixels."""
     if config.detector == "heatmap":
-        return HeatmapDetector(backbone.channels, backbone.stride, object_size, max_detections=config.max_detections)
+        return HeatmapDetector(
+            backbone.channels, backbone.stride, object_size, max_detections=config.max_detections, norm=config.norm
+        )
     # Anchors from the whole object to what is left of one seen end-on and half hidden.
     sizes = tuple(scale * object_size for scale in (0.4, 0.6, 0.85))
     return RpnDetector(
@@ -89,7 +92,7 @@ class PoseNetwork(nn.Module):
         self.codec = PoseCodec(model, net, depth_range)
         turn = self.codec.canonical_from_obj[:3, :3]
         self.distance = SymDistance(model.symmetry.rotated(turn), turn @ model.lam_in_obj @ turn.T)
-        self.backbone = build_backbone(net.backbone, in_channels=3)
+        self.backbone = build_backbone(net.backbone, in_channels=3, norm=net.norm)
         self.detector = build_detector(config.network, self.backbone, self.object_size)
         a, b, c = self.codec.angle_bins
         self.heads = PoseHeads(self.backbone.channels, (a.count, b.count, c.count), net)
@@ -118,20 +121,25 @@ class PoseNetwork(nn.Module):
         parts = [part for part in (self.confidence, self.registration) if part is not None]
         return (p for part in parts for p in part.parameters())
 
-    def forward(self, batch: Batch, scoring_images: int = 0) -> dict[str, Tensor]:
-        """Unweighted losses of a training batch; scoring ones too, on its first `scoring_images` images."""
+    def forward(self, batch: Batch, scoring_images: int = 0) -> dict[str, Mean]:
+        """Unweighted losses of a training batch; scoring ones too, on its first `scoring_images` images.
+
+        Which losses there are, and which parameters take part, follows from the configuration alone: several processes
+        that train together never wait for what one of them has not.
+        """
+        draws = batch.draws()
         features, normals = self._features(batch.depth, batch.intrinsics)
         image_size = batch.depth.shape[-2:]
         find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
         with self._autocast():
-            found = self.detector.losses(self.detector(features, image_size), find, ignore)
-        sample = targets.sample_regions(batch, self.config.train)
+            found = self.detector.losses(self.detector(features, image_size), find, ignore, draws)
+        sample = targets.sample_regions(batch, self.config.train, draws)
         regions = self._regions(batch.depth, batch.intrinsics, sample.boxes, sample.image_index)
         regions, truth = regions.select(regions.valid), sample.poses[regions.valid]
         outputs = self._read(features, normals, batch.depth, regions)
         labels = self.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
         found |= losses.pose_losses(outputs, labels, self.codec, self.distance, self.config.loss)
-        if scoring_images and (self.confidence or self.registration):
+        if scoring_images and (self.confidence is not None or self.registration is not None):
             few = slice(0, scoring_images)
             found |= self._scoring_losses(features.detach()[few], normals[few], batch)
         return found
@@ -224,24 +232,26 @@ class PoseNetwork(nn.Module):
             )
         return _Scored(few, logit, registered, detections.boxes)
 
-    def _scoring_losses(self, features: Tensor, normals: Tensor, batch: Batch) -> dict[str, Tensor]:
+    def _scoring_losses(self, features: Tensor, normals: Tensor, batch: Batch) -> dict[str, Mean]:
         count = len(features)
         scored = self._score(features, normals, batch.depth[:count], batch.intrinsics[:count])
-        sums: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
+        parts: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
+        told = torch.tensor([float(len(image.hypotheses) > 0) for image in scored]).sum()
         for image, truth, visibility in zip(scored, batch.poses, batch.visibility, strict=False):
             few = image.hypotheses
             rotation, center = self.codec.canonical(truth)
             distances = self.distance.between(few.rotation, few.center, rotation, center)
-            if self.confidence is not None and len(few):
+            if self.confidence is not None:
                 right = (distances < self.model.threshold).any(1).float()
-                sums["confidence"].append(nn.functional.binary_cross_entropy_with_logits(image.logit, right))
-            if image.registered is not None and len(few):
+                loss = nn.functional.binary_cross_entropy_with_logits(image.logit, right, reduction="sum")
+                parts["confidence"].append(loss / max(len(few), 1))
+            if image.registered is not None:
                 wanted = registration_targets(
                     distances, image.logit.detach(), self.model.threshold, visibility < self.config.train.min_visibility
                 )
                 weighting = self.config.loss.registration_weights
-                sums["registration"].append(registration_loss(image.registered, wanted, weighting))
-        return {name: torch.stack(parts).mean() for name, parts in sums.items() if parts}
+                parts["registration"].append(registration_loss(image.registered, wanted, weighting))
+        return {name: Mean.of(torch.stack(few), told) for name, few in parts.items() if few}
 
     def _ranked(self, scored: _Scored) -> ImagePoses:
         few, logit = scored.hypotheses, self._final_logit(scored)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from posenet import euler
 from posenet.config import NetworkConfig
 from posenet.depth_input import CROP_CHANNELS
+from posenet.normalisation import build_normalisation
 
 
 class PoseOutputs(NamedTuple):
@@ -37,13 +38,9 @@ class PoseHeads(nn.Module):
         super().__init__()
         self.config = config
         size = config.roi_size
-        self.crop = CropBranch(config.crop_size, size) if config.crop_size else None
+        self.crop = CropBranch(config.crop_size, size, norm=config.norm) if config.crop_size else None
         merged = channels + (self.crop.channels if self.crop else 0)
-        self.merge = (
-            nn.Sequential(nn.Conv2d(merged, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels), nn.ReLU())
-            if self.crop
-            else nn.Identity()
-        )
+        self.merge = nn.Sequential(*_normalised(merged, channels, config.norm)) if self.crop else nn.Identity()
         width = config.fc_width
         self.trunk = nn.Sequential(
             nn.Flatten(),
@@ -92,12 +89,12 @@ class PoseHeads(nn.Module):
 class CropBranch(nn.Module):
     """Convolutions that halve a raw crop until it has the pooled features' size."""
 
-    def __init__(self, crop_size: int, roi_size: int, width: int = 32) -> None:
+    def __init__(self, crop_size: int, roi_size: int, width: int = 32, norm: str = "batch") -> None:
         super().__init__()
         layers: list[nn.Module] = []
         channels, size = CROP_CHANNELS, crop_size
         while True:
-            layers += [nn.Conv2d(channels, width, 3, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU()]
+            layers += _normalised(channels, width, norm)
             channels = width
             if size <= roi_size:
                 break
@@ -109,3 +106,7 @@ class CropBranch(nn.Module):
 
     def forward(self, crops: Tensor) -> Tensor:
         return self.layers(crops)
+
+
+def _normalised(channels: int, width: int, norm: str) -> list[nn.Module]:
+    return [nn.Conv2d(channels, width, 3, padding=1, bias=False), build_normalisation(norm, width), nn.ReLU()]

@@ -72,7 +72,7 @@ class Refiner:
         refined = np.ascontiguousarray(cam_from_obj, dtype=np.float64).copy()
         d = self.model.diameter
         reach = np.linspace(REACH[0], REACH[1], ITERATIONS) * d
-        center = self.model.centroid
+        center = np.ascontiguousarray(self.model.centroid)
         _icp(refined, self.points - center, self.normals, center, depth, normals, intrinsics, reach, d)
         refined[:, :3, :3] = poses.nearest_rotation(refined[:, :3, :3]) if len(refined) else refined[:, :3, :3]
         support, violation = _depth_evidence(refined, self.points, self.normals, depth, intrinsics, TOLERANCE * d)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from posenet.detector import Detections, Detector
 from posenet.heatmap_detector import cell_centers
+from posenet.mean import Mean
 from posenet.ops import box_iou, clip_boxes, decode_boxes, encode_boxes, nms, roi_align
 
 POSITIVE, NEGATIVE, NEUTRAL = 1, 0, -1
@@ -85,11 +86,13 @@ class RpnDetector(Detector):
         centers = cell_centers(features.shape[2], features.shape[3], self.stride, features.device)
         return RpnOutputs(features, logits, deltas, anchors_at(centers, self.shapes), image_size)
 
-    def losses(self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor]) -> dict[str, Tensor]:
+    def losses(
+        self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
+    ) -> dict[str, Mean]:
         """`objectness` and `proposal` of the first stage, `score` and `refinement` of the second."""
         targets, ignore = [boxes.float() for boxes in targets], [boxes.float() for boxes in ignore]
-        objectness, proposal = self._first_stage_losses(raw, targets, ignore)
-        score, refinement = self._second_stage_losses(raw, targets, ignore)
+        objectness, proposal = self._first_stage_losses(raw, targets, ignore, draws)
+        score, refinement = self._second_stage_losses(raw, targets, ignore, draws)
         return {"objectness": objectness, "proposal": proposal, "score": score, "refinement": refinement}
 
     @torch.no_grad()
@@ -122,12 +125,12 @@ class RpnDetector(Detector):
         return Detections(boxes[kept], scores[kept])
 
     def _first_stage_losses(
-        self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor]
-    ) -> tuple[Tensor, Tensor]:
+        self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
+    ) -> tuple[Mean, Mean]:
         samples = []
-        for boxes, ignored in zip(targets, ignore, strict=True):
+        for boxes, ignored, draw in zip(targets, ignore, draws, strict=True):
             labels, match = label_anchors(raw.anchors, boxes, ignored)
-            chosen = sample(labels, self.anchors_per_image, positive_share=0.5)
+            chosen = sample(labels, self.anchors_per_image, 0.5, draw)
             samples.append(Sample(chosen, labels[chosen], match[chosen]))
         logits = [logit[s.chosen] for logit, s in zip(raw.logits, samples, strict=True)]
         deltas = [delta[s.chosen] for delta, s in zip(raw.deltas, samples, strict=True)]
@@ -135,13 +138,13 @@ class RpnDetector(Detector):
         return stage_losses(logits, deltas, anchors, samples, targets)
 
     def _second_stage_losses(
-        self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor]
-    ) -> tuple[Tensor, Tensor]:
+        self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
+    ) -> tuple[Mean, Mean]:
         samples, rois = [], []
-        for proposals, boxes, ignored in zip(self.propose(raw), targets, ignore, strict=True):
+        for proposals, boxes, ignored, draw in zip(self.propose(raw), targets, ignore, draws, strict=True):
             candidates = torch.cat([boxes, proposals])  # the truth too, so that the head learns before the proposals do
             labels, match, hard = label_rois(candidates, boxes, ignored)
-            chosen = sample(labels, self.rois_per_image, positive_share=0.25, preferred=hard)
+            chosen = sample(labels, self.rois_per_image, 0.25, draw, preferred=hard)
             samples.append(Sample(chosen, labels[chosen], match[chosen]))
             rois.append(candidates[chosen])
         logits, deltas = self.box_head(raw.features, rois)
@@ -246,21 +249,22 @@ def _best_overlap(candidates: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
     return overlap, match
 
 
-def sample(labels: Tensor, count: int, positive_share: float, preferred: Tensor | None = None) -> Tensor:
+def sample(
+    labels: Tensor, count: int, positive_share: float, draw: torch.Generator, preferred: Tensor | None = None
+) -> Tensor:
     """Indices of at most `count` rows, at random: positives up to their share, then negatives.
 
     Among the negatives the `preferred` (N,) bool come first; the rest only fill up.
     """
-    positive = _shuffled((labels == POSITIVE).nonzero()[:, 0])[: int(count * positive_share)]
-    negative = _shuffled((labels == NEGATIVE).nonzero()[:, 0])
+    positive = _shuffled((labels == POSITIVE).nonzero()[:, 0], draw)[: int(count * positive_share)]
+    negative = _shuffled((labels == NEGATIVE).nonzero()[:, 0], draw)
     if preferred is not None:
         negative = torch.cat([negative[preferred[negative]], negative[~preferred[negative]]])
     return torch.cat([positive, negative[: count - len(positive)]])
 
 
-def _shuffled(index: Tensor) -> Tensor:
-    # Drawn on the CPU whatever the device: a run then repeats itself from torch's one generator state.
-    return index[torch.randperm(len(index)).to(index.device)]
+def _shuffled(index: Tensor, draw: torch.Generator) -> Tensor:
+    return index[torch.randperm(len(index), generator=draw).to(index.device)]
 
 
 def stage_losses(
@@ -270,14 +274,13 @@ def stage_losses(
     samples: list[Sample],
     targets: list[Tensor],
     scale: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Mean, Mean]:
     """Cross-entropy of the scores, and L1 of the positives' deltas (in units of `scale`), both per sampled row."""
     labels = torch.cat([s.labels for s in samples])
-    count = max(len(labels), 1)
-    score = F.binary_cross_entropy_with_logits(torch.cat(logits), labels.float(), reduction="sum") / count
+    score = F.binary_cross_entropy_with_logits(torch.cat(logits), labels.float(), reduction="sum")
     wanted = torch.cat(
         [encode_boxes(boxes[s.match[s.labels == POSITIVE]], anchor[s.labels == POSITIVE])
          for boxes, anchor, s in zip(targets, anchors, samples, strict=True)]
     )  # fmt: skip
     error = (torch.cat(deltas)[labels == POSITIVE] - wanted).abs()
-    return score, (error if scale is None else error / scale).sum() / count
+    return Mean.of(score, len(labels)), Mean.of(error if scale is None else error / scale, len(labels))

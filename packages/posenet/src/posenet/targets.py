@@ -18,10 +18,20 @@ class Batch(NamedTuple):
     poses: list[Tensor]  # B x (n, 4, 4) cam_from_obj
     boxes: list[Tensor]  # B x (n, 4) visible boxes
     visibility: list[Tensor]  # B x (n,)
+    seeds: tuple[int, ...]  # of what is left to chance in each image
 
     def to(self, device: torch.device) -> Batch:
-        moved = ([part.to(device) for part in parts] for parts in (self.poses, self.boxes, self.visibility))
-        return Batch(self.depth.to(device), self.intrinsics.to(device), *moved)
+        return self._replace(
+            depth=self.depth.to(device),
+            intrinsics=self.intrinsics.to(device),
+            poses=[part.to(device) for part in self.poses],
+            boxes=[part.to(device) for part in self.boxes],
+            visibility=[part.to(device) for part in self.visibility],
+        )
+
+    def draws(self) -> list[torch.Generator]:
+        """A fresh generator an image, on the CPU: a seed gives the same draws on every device and in any company."""
+        return [torch.Generator().manual_seed(seed) for seed in self.seeds]
 
 
 class RegionSample(NamedTuple):
@@ -41,21 +51,22 @@ def detection_targets(batch: Batch, min_visibility: float) -> tuple[list[Tensor]
     return find, ignore
 
 
-def sample_regions(batch: Batch, config: TrainConfig) -> RegionSample:
+def sample_regions(batch: Batch, config: TrainConfig, draws: list[torch.Generator]) -> RegionSample:
     """At most `rois_per_image` instances of each image, at random, with boxes as inexact as a detector's."""
     boxes, index, instance_poses = [], [], []
-    for i, (box, visibility, pose) in enumerate(zip(batch.boxes, batch.visibility, batch.poses, strict=True)):
+    images = zip(batch.boxes, batch.visibility, batch.poses, draws, strict=True)
+    for i, (box, visibility, pose, draw) in enumerate(images):
         usable = ((visibility >= config.min_visibility) & (box[:, 2] > box[:, 0])).nonzero()[:, 0]
-        # Drawn on the CPU, so that a seed gives the same regions on every device.
-        chosen = usable[torch.randperm(len(usable))[: config.rois_per_image].to(usable.device)]
-        boxes.append(jitter(box[chosen], config.box_jitter))
+        order = torch.randperm(len(usable), generator=draw)[: config.rois_per_image]
+        chosen = usable[order.to(usable.device)]
+        boxes.append(jitter(box[chosen], config.box_jitter, draw))
         index.append(torch.full((len(chosen),), i, device=box.device))
         instance_poses.append(pose[chosen])
     return RegionSample(torch.cat(boxes), torch.cat(index), torch.cat(instance_poses))
 
 
-def jitter(boxes: Tensor, amount: float) -> Tensor:
+def jitter(boxes: Tensor, amount: float, draw: torch.Generator) -> Tensor:
     """Boxes (n, 4) with each edge moved by up to `amount` of the box's side, at least one pixel wide."""
     sides = (boxes[:, 2:] - boxes[:, :2]).repeat(1, 2)
-    moved = boxes + (torch.rand(boxes.shape).to(boxes) * 2 - 1) * amount * sides
+    moved = boxes + (torch.rand(boxes.shape, generator=draw).to(boxes) * 2 - 1) * amount * sides
     return torch.cat([moved[:, :2], torch.maximum(moved[:, 2:], moved[:, :2] + 1.0)], 1)

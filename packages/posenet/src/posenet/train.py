@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
 from evalkit.shards import checksum_problem, list_shards
 from posenet.backbone import load_vgg16_weights
-from posenet.dataset import Frames
+from posenet.dataset import Frames, Split
 from posenet.device import choose_device
 from posenet.fit_options import FitOptions
 from posenet.network import PoseNetwork
+from posenet.processes import Place, processes
 from posenet.provenance import data_hash, git_version, shard_hashes, software_versions
 from posenet.run_folder import RunFolder
 from posenet.trainer import Trainer
@@ -31,24 +33,48 @@ def fit(options: FitOptions) -> RunFolder:
         OSError: the folder cannot be written, or its disk is full.
         KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
     """
-    device = choose_device(options.device)
+    device = choose_device(options.device, options.devices)
     frames = intact_frames(options.shards)
+    split, network = _prepared(options, frames)
+    run = RunFolder(options.out)
+    resuming = run.claim(_identity(options, frames), _made_by(options, frames))
+    follow = partial(_follow, options, resuming)
+    with run.locked(), _reproducible(device), processes(options.devices, follow) as place:
+        _train(Trainer(network, frames, split, run, options, place), resuming)
+    return run
+
+
+def _follow(options: FitOptions, resuming: bool, place: Place) -> None:
+    """What :func:`fit` does in the processes beside the first, which has checked everything."""
+    frames = Frames(list(options.shards))
+    split, network = _prepared(options, frames)
+    with _reproducible(choose_device(options.device)):
+        _train(Trainer(network, frames, split, RunFolder(options.out), options, place), resuming)
+
+
+def _train(trainer: Trainer, resuming: bool) -> None:
+    if resuming:
+        trainer.restore(trainer.run.load_checkpoint())
+    trainer.train()
+
+
+def _prepared(options: FitOptions, frames: Frames) -> tuple[Split, PoseNetwork]:
+    """Which frames train, and the network as it begins."""
     config = options.config
     share = config.train.validation_share if options.validate else 0.0
     split = frames.split(share, options.seed, config.train.validation_images)
+    batch = min(config.train.batch_images, len(split.train))
+    if batch < options.devices:
+        raise InputError(
+            f"--devices {options.devices}: a batch of {batch} image(s) cannot be shared by so many; give "
+            f"--batch-images {options.devices} or more, and as many training images."
+        )
     torch.manual_seed(options.seed)
     depth_range = frames.depth_range(split.train, config.train.min_visibility)
     network = PoseNetwork(config, frames.model, depth_range, frames.camera)
     if options.backbone_weights is not None:
         _load_backbone(network, options.backbone_weights)
-    run = RunFolder(options.out)
-    resuming = run.claim(_identity(options, frames), _made_by(options, frames))
-    with run.locked(), _reproducible(device):
-        trainer = Trainer(network, frames, split, run, options)
-        if resuming:
-            trainer.restore(run.load_checkpoint())
-        trainer.train()
-    return run
+    return split, network
 
 
 def intact_frames(shards: list[Path]) -> Frames:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from lightning_fabric import Fabric
 from lightning_fabric.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 from torch import Tensor
@@ -19,14 +18,16 @@ from evalkit.errors import InputError
 from posenet import losses
 from posenet.augment import Degradation, degrade, generator_of
 from posenet.config import Config
-from posenet.dataset import Frames, Split, epoch_order
+from posenet.dataset import Frames, Split, epoch_order, step_seeds
 from posenet.device import choose_device, supports_bf16
 from posenet.ema import WeightAverage
 from posenet.fit_options import FitOptions
 from posenet.history import ROW_EVERY, History
 from posenet.interruption import Interruption
+from posenet.mean import Mean
 from posenet.model_file import save_model
 from posenet.network import PoseNetwork
+from posenet.processes import ALONE, Place
 from posenet.provenance import data_hash, git_version, software_versions
 from posenet.run_folder import RunFolder
 from posenet.schedule import Budget, learning_rate_factor
@@ -38,20 +39,32 @@ _BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}, {postfix}"
 
 
 class Trainer:
-    """Trains `network` on `split` of `frames` for the budget of `options`, and keeps all that it does in `run`."""
+    """Trains `network` on `split` of `frames` for the budget of `options`, and keeps all that it does in `run`.
 
-    def __init__(self, network: PoseNetwork, frames: Frames, split: Split, run: RunFolder, options: FitOptions) -> None:
+    In each of several processes there is one, at its `place`; all take the same steps, and the leader's alone writes.
+    """
+
+    def __init__(
+        self,
+        network: PoseNetwork,
+        frames: Frames,
+        split: Split,
+        run: RunFolder,
+        options: FitOptions,
+        place: Place = ALONE,
+    ) -> None:
         self.options, self.config = options, options.config.train
         self.frames, self.split, self.run = frames, split, run
         device = choose_device(options.device)
         network.bf16 = self.config.precision == "bf16" or (self.config.precision == "auto" and supports_bf16(device))
+        self.place = place
         self.logger = TensorBoardLogger(run.path, name="", version="")
-        self.fabric = Fabric(accelerator=device.type, devices=1, loggers=self.logger)
+        self.fabric = place.fabric(device, self.logger)
         self.network = network.in_fast_layout()
         main, scoring = _optimizers(network, options.config)
         self.module, self.main, *rest = self.fabric.setup(self.network, main, *([scoring] if scoring else []))
         self.scoring = rest[0] if rest else None
-        self.average = WeightAverage(self.network, self.config.ema) if self.config.ema > 0 else None
+        self.average = WeightAverage(self.network, self.config.ema) if self.config.ema > 0 and place.leads else None
         self.step, self.images, self.best_ap, self.finished = 0, 0, -1.0, False
         self.validations: list[dict[str, float]] = []
         self.history = History()
@@ -65,6 +78,8 @@ class Trainer:
         """
         if self.finished:
             return
+        if not self.place.leads:
+            return self._follow()
         bar = tqdm(total=100.0, desc="fit", bar_format=_BAR, mininterval=0.5)
         with Interruption() as interruption, bar:
             try:
@@ -75,7 +90,7 @@ class Trainer:
                 raise
 
     def save(self) -> None:
-        """Write the checkpoint: all that the next step depends on. The order of images follows from the step."""
+        """Write the checkpoint: all that the next step depends on. Images and what is drawn follow from the step."""
         self.run.save_checkpoint(
             {
                 "step": self.step,
@@ -89,8 +104,6 @@ class Trainer:
                 "average": self.average.state() if self.average else None,
                 "main": self.main.state_dict(),
                 "scoring": self.scoring.state_dict() if self.scoring else None,
-                "random": torch.get_rng_state(),
-                "random_cuda": torch.cuda.get_rng_state_all() if self.fabric.device.type == "cuda" else None,
             }
         )
 
@@ -102,22 +115,28 @@ class Trainer:
             self.scoring.load_state_dict(state["scoring"])
         if self.average and state.get("average"):
             self.average.restore(state["average"])
-        torch.set_rng_state(state["random"])
-        if state.get("random_cuda") and self.fabric.device.type == "cuda":
-            torch.cuda.set_rng_state_all(state["random_cuda"])
         self.step, self.images, self.best_ap = state["step"], state["images"], state["best_ap"]
         self.validations, self.finished = state["validations"], state["finished"]
         self.history.rows = state.get("history", [])
         self.budget.spent_before = state["seconds"]
 
+    def _follow(self) -> None:
+        """Take the leader's steps with it."""
+        for batch_frames in self._batches():
+            progress = self._progress()
+            if progress >= 1.0:
+                return
+            self._step(batch_frames, progress)
+
     def _run(self, interruption: Interruption, bar: tqdm[Any]) -> None:
         saved = time.monotonic()
         for batch_frames in self._batches():
-            progress = self.budget.progress(self.step)
+            with interruption.held():
+                progress = self._progress()
+                if progress < 1.0:
+                    self._step(batch_frames, progress)
             if progress >= 1.0:
                 break
-            with interruption.held():
-                self._step(batch_frames, progress)
             self._show(bar)
             validated = self._validation_due()
             if validated:
@@ -128,6 +147,10 @@ class Trainer:
                 saved = time.monotonic()
         self._finish(interruption)
         self._show(bar)
+
+    def _progress(self) -> float:
+        """Share of the run that is done, by the leader's clock."""
+        return self.place.told(self.budget.progress(self.step), self.fabric.device)
 
     def _budget(self) -> Budget:
         if self.options.minutes is not None:
@@ -160,30 +183,51 @@ class Trainer:
         batch = self._batch(batch_frames)
         self.network.train()
         scores = progress >= self.config.scoring_start and self.step % self.config.scoring_every == 0
-        found = self.module(batch, self.config.scoring_images if scores else 0)
-        loss = losses.total(found, self.options.config.loss)
-        self._require_finite(loss, found)
-        self.fabric.backward(loss)
+        found = self.module(batch, self._scoring_images if scores else 0)
+        whole = self.place.summed(found)
+        total = losses.total(whole, self.options.config.loss)
+        self._require_finite(total, {name: mean.total for name, mean in whole.items()})
+        self.fabric.backward(self._to_minimise(found, whole))
         for part in (self.network.main_parameters(), self.network.scoring_parameters()):
             norm = torch.nn.utils.clip_grad_norm_(list(part), self.config.clip_gradient)
             self._require_finite(norm, {"gradient": norm})
-        for optimizer in self._optimizers:
-            optimizer.step()
+        self.main.step()
+        if self.scoring and scores:
+            self.scoring.step()
         self.step += 1
         self.images += len(batch_frames)
         if self.average:
             self.average.update(self.network)
-        self._log(found, loss, factor)
+        if self.place.leads:
+            self._log(whole, total, factor)
+
+    def _to_minimise(self, found: dict[str, Mean], whole: dict[str, Mean]) -> Tensor:
+        """This process's loss, from its own sums and the counts of all."""
+        if self.place.size == 1:
+            return losses.total(found, self.options.config.loss)
+        # DDP takes the mean of all processes' gradients, of what are addends here, and waits for every parameter's.
+        addend = losses.total(found, self.options.config.loss, whole)
+        nothing = torch.stack([parameter.sum() for parameter in self.network.parameters()]).sum() * 0.0
+        return addend * self.place.size + nothing
+
+    @property
+    def _scoring_images(self) -> int:
+        """How many of this process's images train the scores: its share, but one at least, so that all take part."""
+        return max(1, len(self.place.share(range(self.config.scoring_images))))
 
     def _batch(self, batch_frames: NDArray[np.int64]) -> Batch:
-        batch = self.frames.batch(batch_frames).to(self.fabric.device)
+        """This process's share of a batch, degraded where the configuration says so."""
+        seed, step, share = self.options.seed, self.step, self.place.share
+        torch.manual_seed(step_seeds(seed, step, np.array([self.place.rank]))[0])  # of dropout, which draws globally
+        seeds = step_seeds(seed, step, batch_frames)
+        batch = self.frames.batch(share(batch_frames), share(seeds)).to(self.fabric.device)
         bounds = Degradation(self.config.augment_noise, self.config.augment_holes)
         if not any(bounds):
             return batch
         diameter = self.frames.model.diameter
         images = [
-            degrade(image, bounds, diameter, generator_of(self.options.seed, self.step, i))
-            for i, image in enumerate(batch.depth)
+            degrade(image, bounds, diameter, generator_of(seed, step, i))
+            for i, image in zip(share(range(len(batch_frames))), batch.depth, strict=True)
         ]
         return batch._replace(depth=torch.stack(images))
 
@@ -196,8 +240,8 @@ class Trainer:
             "the learning rate with --learning-rate, in another folder."
         )
 
-    def _log(self, found: dict[str, Tensor], loss: Tensor, factor: float) -> None:
-        self.history.add(found, loss)
+    def _log(self, found: dict[str, Mean], loss: Tensor, factor: float) -> None:
+        self.history.add({name: mean.value for name, mean in found.items()}, loss)
         if self.step % ROW_EVERY == 0:
             row = self.history.close_row(**self._place())
             values = {f"loss/{name}": value for name, value in row.items() if name == "total" or name in found}
