@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.atomic import write_text
 from evalkit.errors import InputError
 
 
@@ -34,3 +35,10 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     if not corners_known or any(len(vertex) != 3 for vertex in vertices):
         raise InputError(f"{path}: the mesh has no faces, or they name vertices that it lacks.")
     return np.array(vertices), triangles
+
+
+def write_obj(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+    """Write vertices (V, 3) and triangles (F, 3) such that :func:`read_obj` gives the very same numbers."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(vertices, float).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
+    write_text(path, "\n".join(lines) + "\n")

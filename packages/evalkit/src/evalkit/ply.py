@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.atomic import atomic_path
 from evalkit.errors import InputError
 
 Array = NDArray[np.float64]
@@ -53,6 +54,19 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
         return _vertices(tables), _triangles(tables)
     except _DamageError as fault:
         raise InputError(f"{path}: {fault}; export the mesh again as PLY.") from None
+
+
+def write_ply(path: Path, vertices: Array, faces: NDArray[Any], normals: Array) -> None:
+    """Write vertices (V, 3), their unit normals (V, 3) and triangles (F, 3), binary; vertices keep all their digits."""
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property double {axis}" for axis in "xyz"] + [f"property float n{axis}" for axis in "xyz"]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    rows = np.empty(len(vertices), [("position", "<f8", 3), ("normal", "<f4", 3)])
+    rows["position"], rows["normal"] = vertices, normals
+    triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    triangles["count"], triangles["corners"] = 3, faces
+    with atomic_path(path) as temporary:
+        temporary.write_bytes("\n".join(header).encode() + rows.tobytes() + triangles.tobytes())
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], bytes]:

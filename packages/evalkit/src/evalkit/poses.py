@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -84,6 +85,12 @@ def from_quaternion_xyzw(quaternion: ArrayLike) -> Array:
         2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
     return np.stack(rows, -1).reshape(*q.shape[:-1], 3, 3)
+
+
+def to_quaternion_xyzw(rotation: ArrayLike) -> Array:
+    """Unit quaternions (..., 4) in x, y, z, w order, w >= 0, of rotations (..., 3, 3)."""
+    quaternion = np.asarray(Rotation.from_matrix(np.asarray(rotation, float)).as_quat())
+    return np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
 
 
 def random_rotations(rng: np.random.Generator, count: int) -> Array:

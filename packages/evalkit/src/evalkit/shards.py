@@ -245,6 +245,16 @@ class ShardReader:
         """Scene of each frame (F,)."""
         return np.asarray(self._scene)
 
+    @property
+    def view_index(self) -> NDArray[np.int32]:
+        """View of its scene of each frame (F,)."""
+        return np.asarray(self._view)
+
+    @property
+    def cam_from_world(self) -> NDArray[np.float64]:
+        """Camera pose of each frame (F, 4, 4)."""
+        return np.asarray(self._cam_from_world)
+
     def close(self) -> None:
         self._file.close()
 
@@ -420,15 +430,26 @@ def write_dataset_file(folder: Path | str, header: ShardHeader, shards: list[dic
 def checksum_problem(path: Path | str) -> str | None:
     """What is wrong with a shard's bytes: None when its SHA-256 agrees with the one it carries."""
     try:
+        stated = sha256_stated(path)
         with open(path, "rb") as file:
-            head = file.read(USER_BLOCK)
+            file.seek(USER_BLOCK)
             actual = _hash_rest(file)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    words = head.rstrip(b"\0").split()
-    if len(words) != 3 or words[1] != b"sha256":
+    if stated is None:
         return "carries no checksum: truncated, damaged, or not a shard"
-    return None if words[2].decode("ascii", "replace") == actual else "its bytes do not match its checksum"
+    return None if stated == actual else "its bytes do not match its checksum"
+
+
+def sha256_stated(path: Path | str) -> str | None:
+    """The SHA-256 that a shard carries, unchecked, in hexadecimal; None if it carries none.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        words = file.read(USER_BLOCK).rstrip(b"\0").split()
+    return words[2].decode("ascii", "replace") if len(words) == 3 and words[1] == b"sha256" else None
 
 
 def _seal(path: Path) -> None:

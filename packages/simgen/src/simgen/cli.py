@@ -14,6 +14,7 @@ from evalkit.camera import Camera
 from evalkit.command import Commands
 from evalkit.errors import InputError
 from simgen.config import PRESETS, RENDERERS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
+from simgen.export_commands import export_command
 from simgen.gl_platform import require_gl
 from simgen.inspect_commands import object_command, preview_command, verify_command
 from simgen.sensor_config import parse_sensor
@@ -148,6 +149,7 @@ def _configured(
     return replace(preset, **changes)
 
 
+cli.add_command(export_command)
 cli.add_command(object_command)
 cli.add_command(preview_command)
 cli.add_command(verify_command)

@@ -34,6 +34,7 @@ WRITERS = {
     "sileane": "evalkit.adapters.sileane:write_predictions",
 }
 DEPTH_IMAGES = {
+    "sileane": "evalkit.adapters.sileane:depth_images",
     "bop": "evalkit.adapters.bop:depth_images",
     "icvl": "evalkit.adapters.icvl:depth_images",
     "ipa": "evalkit.adapters.ipa:depth_images",

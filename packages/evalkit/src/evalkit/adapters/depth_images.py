@@ -18,6 +18,7 @@ from evalkit.errors import InputError
 
 DEPTH_UNIT = 1e-4  # metres a step of what is written; the farthest is 6.55 m
 HIGHEST = np.iinfo(np.uint16).max
+FAST_PNG = 1  # zlib's level; masks and depth gain little from more
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -90,6 +91,15 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
             f"{path}: a depth image has one channel of 16 bits; this one is {values.dtype} {values.shape}."
         )
     return values
+
+
+def write_png(path: Path, values: NDArray[Any]) -> None:
+    """Write a single-channel image of 8 or 16 bits as it is, without a temporary: for folders that appear as a whole.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path.write_bytes(cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, FAST_PNG])[1].tobytes())
 
 
 def between_clip_planes(raw: NDArray[Any], near: float, far: float) -> NDArray[np.float64]:

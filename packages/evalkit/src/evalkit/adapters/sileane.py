@@ -8,7 +8,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import poses
+from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import numbers
 from evalkit.atomic import write_json
 from evalkit.camera import Camera
@@ -51,6 +54,25 @@ def read_ground_truth(folder: Path, object_name: str | None = None, camera_param
         world_from_obj, occlusion = parse_rows(load_json(path), "occlusion_rate", str(path))
         images.append(GroundTruthImage(path.stem, camera, cam_from_world @ world_from_obj, 1.0 - occlusion))
     return GroundTruth(model, images, _frame(view), str(folder))
+
+
+def depth_images(folder: Path) -> Iterator[DepthImage]:
+    """The depth images FOLDER/depth/*.PNG, between the clipping planes of camera_params.txt.
+
+    Raises:
+        InputError: the camera or its clipping planes are missing, or there are no images.
+    """
+    camera, _ = read_camera_params(folder / CAMERA_FILE)
+    near, far = _clip_planes(folder / CAMERA_FILE)
+    paths = sorted(path for path in (folder / "depth").glob("*") if path.suffix.lower() == ".png")
+    if not paths:
+        raise InputError(f"{folder / 'depth'}: the folder holds no depth images (*.PNG); check the path.")
+    for path in paths:
+        yield DepthImage(path.stem, camera, partial(_depth, path, near, far))
+
+
+def _depth(path: Path, near: float, far: float) -> Array:
+    return between_clip_planes(read_raw_depth(path), near, far)
 
 
 def read_predictions(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> Predictions:
@@ -129,6 +151,27 @@ def read_camera_params(path: Path) -> tuple[Camera, Array]:
     Raises:
         InputError: a field is missing or not a number.
     """
+    read = _camera_fields(path)
+    quaternion_wxyz = read("rotation", 4)
+    if abs(np.linalg.norm(quaternion_wxyz) - 1.0) > 1e-2:
+        raise InputError(f"{path}: the line 'rotation' must be a unit quaternion w x y z.")
+    world_from_cam = poses.from_rotation_translation(
+        poses.from_quaternion_xyzw(np.roll(quaternion_wxyz, -1)), read("location", 3)
+    )
+    width, height, fx, fy, cx, cy = (float(read(key, 1)[0]) for key in ("width", "height", "fu", "fv", "cu", "cv"))
+    return Camera(int(width), int(height), fx, fy, cx, cy), poses.invert(world_from_cam)
+
+
+def _clip_planes(path: Path) -> tuple[float, float]:
+    read = _camera_fields(path)
+    near, far = float(read("clip_start", 1)[0]), float(read("clip_end", 1)[0])
+    if not 0 <= near < far:
+        raise InputError(f"{path}: 'clip_start' {near:g} and 'clip_end' {far:g} must be metres, the first the smaller.")
+    return near, far
+
+
+def _camera_fields(path: Path) -> Callable[[str, int], Array]:
+    """A function that gives the numbers of a line by its key and their count."""
     lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
     fields = {words[0]: words[1:] for words in lines if words}
 
@@ -141,14 +184,7 @@ def read_camera_params(path: Path) -> tuple[Camera, Array]:
             raise InputError(f"{path}: the line '{key}' must hold {count} finite number(s).")
         return values
 
-    quaternion_wxyz = read("rotation", 4)
-    if abs(np.linalg.norm(quaternion_wxyz) - 1.0) > 1e-2:
-        raise InputError(f"{path}: the line 'rotation' must be a unit quaternion w x y z.")
-    world_from_cam = poses.from_rotation_translation(
-        poses.from_quaternion_xyzw(np.roll(quaternion_wxyz, -1)), read("location", 3)
-    )
-    width, height, fx, fy, cx, cy = (float(read(key, 1)[0]) for key in ("width", "height", "fu", "fv", "cu", "cv"))
-    return Camera(int(width), int(height), fx, fy, cx, cy), poses.invert(world_from_cam)
+    return read
 
 
 def _symmetry(path: Path, document: dict[str, Any]) -> Symmetry:
