@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from evalkit.overlays import shade
 from evalkit.plots import new_figure, save
 from simgen.builtin_objects import BUILTIN_OBJECTS
 from simgen.config import default_camera
-from simgen.rasterizer import Rasterizer
+from simgen.rasterizer import Rasterizer, Rendering
 from simgen.sensor import measure
 from simgen.sensor_config import SensorConfig, parse_sensor
 
@@ -46,31 +47,44 @@ def main() -> None:
     sensor = parse_sensor(options.sensor)
     if sensor is None:
         raise SystemExit("an ideal sensor has no errors to show")
-    camera, ideals = scenes()
+    camera, heaps = scenes()
     pairs = [
-        (ideal, measure(ideal, camera, sensor, np.random.default_rng([scene, repeat])))
-        for scene, ideal in enumerate(ideals)
+        (heap.rendering.depth, measure(heap.rendering.depth, camera, sensor, np.random.default_rng([scene, repeat])))
         for repeat in range(options.repeats)
+        for scene, heap in enumerate(heaps)
     ]
-    typical = float(np.median(np.concatenate([ideal[ideal > 0] for ideal in ideals])))
+    typical = float(np.median([np.median(ideal[ideal > 0]) for ideal, _ in pairs]))
     print(sensor.describe(camera, typical, typical))
     print(f"{'':42}{'DESIGN':>8} {options.sensor:>8}")
     for name, expected, ours in statistics(camera, pairs):
         print(f"{name:42}{expected:>8} {ours:8.3g}")
+    for name, depths in (("ideal", [heap.rendering.depth for heap in heaps]), (sensor.model, [m for _, m in pairs])):
+        if all(heap.visibility is not None for heap in heaps):
+            expected, off = "0.060" if name == "ideal" else "0.011", visibility_error(heaps, depths)
+            print(f"{f'visibility off the published, {name} depth':42}{expected:>8} {off:8.2g}")
     print(f"{'ms a frame at 640 x 480, CPU time':42}{'<= 15':>8} {1e3 * seconds_a_frame(sensor):8.3g}")
     if options.picture:
         draw(camera, *pairs[0], options.picture)
         print(f"{options.picture} written")
 
 
-def scenes() -> tuple[Camera, list[Depth]]:
-    """Camera and ideal depth (H, W) of the reference scenes, or of heaps that stand in for them."""
+@dataclass(frozen=True, eq=False)
+class Heap:
+    """One scene: what is seen ideally, and the visibility (n,) that was published for its instances, if any."""
+
+    rendering: Rendering
+    visibility: NDArray[np.float64] | None
+
+
+def scenes() -> tuple[Camera, list[Heap]]:
+    """Camera and heaps of the reference scenes, or of heaps that stand in for them."""
     source = REFERENCE / "sileane_bunny"
     if source.is_dir():
         truth = sileane.read_ground_truth(source)
         model = load_object(source / "mesh.obj", units="m")
         layouts = [image.cam_from_obj for image in truth.images]
         camera, floor = truth.images[0].camera, 1.5
+        published: list[NDArray[np.float64] | None] = [image.visibility for image in truth.images]
     else:
         print(f"no reference data at {REFERENCE}: heaps of random bunnies instead")
         model = ObjectModel.from_mesh("bunny", *BUILTIN_OBJECTS["bunny"].make())
@@ -82,9 +96,23 @@ def scenes() -> tuple[Camera, list[Depth]]:
             )
             for _ in range(3)
         ]
+        published = [None] * len(layouts)
     assert camera is not None
     rasterizer = Rasterizer(camera, *mesh_of(model), plane(floor))
-    return camera, [rasterizer.render(layout, np.eye(4)).depth for layout in layouts]
+    heaps = zip(layouts, published, strict=True)
+    return camera, [Heap(rasterizer.render(layout, np.eye(4)), visibility) for layout, visibility in heaps]
+
+
+def visibility_error(heaps: list[Heap], depths: list[Depth]) -> float:
+    """Mean absolute difference between published visibility and that in `depths`, scene after scene, over and over."""
+    off = []
+    for number, depth in enumerate(depths):
+        heap = heaps[number % len(heaps)]
+        full = heap.rendering.pixels_full
+        seen = np.bincount(heap.rendering.instance_id[depth > 0], minlength=len(full) + 1)[1:]
+        assert heap.visibility is not None
+        off.append(np.abs(seen / np.maximum(full, 1) - heap.visibility))
+    return float(np.concatenate(off).mean())
 
 
 def mesh_of(model: ObjectModel) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -21,7 +21,7 @@ class Instances:
     instance: NDArray[np.int32]  # (n,) number of the instance within its scene; its pixels hold instance + 1
     cam_from_obj: NDArray[np.float64]  # (n, 4, 4)
     visibility: NDArray[np.float32]  # (n,) pixels_visible / pixels_full, 0 where pixels_full is 0
-    pixels_visible: NDArray[np.int32]  # (n,) pixels where it is nearest and the depth has a return
+    pixels_visible: NDArray[np.int32]  # (n,) pixels where it is nearest and the depth has a return, right or wrong
     pixels_full: NDArray[np.int32]  # (n,)
     box_visible: NDArray[np.int32]  # (n, 4)
     box_full: NDArray[np.int32]  # (n, 4)

@@ -8,6 +8,9 @@ Everything happens in disparity, focal * baseline / z, where matching makes its 
 * wrong patches: around steps, whole windows matched to another place's disparity;
 * steps of disparity.
 
+A pixel with a return is visible, be the return right or wrong: labels tell which surface lies there, and no error of
+the sensor moves an instance.
+
 What is not modelled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
 Sources of the parameters are in :mod:`simgen.sensor_config`.
 """

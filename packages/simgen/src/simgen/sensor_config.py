@@ -1,7 +1,8 @@
 """Which depth camera: its error model's parameters, where they come from, and how they are given on the command line.
 
 All is said in pixels of disparity, so that a camera's focal length and an object's distance do to the error what they
-do in reality: sigma_z = z^2 / (focal * baseline) * sigma_disparity.
+do in reality: sigma_z = z^2 / (focal * baseline) * sigma_disparity. The pixels are those of the image that is built:
+for a sensor that delivers 640 x 480, build 640 x 480.
 """
 
 from __future__ import annotations
@@ -106,14 +107,14 @@ def stereo() -> SensorConfig:
         model="stereo",
         baseline=0.06,
         noise_px=0.065,
-        noise_per_slope=0.25,
+        noise_per_slope=0.33,
         quantum_px=1 / 32,
-        smooth_missing=0.022,
-        edge_missing=0.43,
-        edge_reach_px=2.7,
-        step_px=0.5,
-        shadow_missing=0.72,
-        wrong_patches=0.35,
+        smooth_missing=0.028,
+        edge_missing=0.45,
+        edge_reach_px=3.0,
+        step_px=1.0,
+        shadow_missing=0.74,
+        wrong_patches=0.38,
         steepest_degrees=80.0,
     )
 
