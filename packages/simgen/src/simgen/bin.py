@@ -6,6 +6,7 @@ World frame: origin in the middle of the bin's floor, z up.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,14 +26,21 @@ DEFAULT_PILE = PileConfig()
 def fitting_bin(vertices: ArrayLike, diameter: float, instances: int, pile: PileConfig = DEFAULT_PILE) -> BinSize:
     """The bin in which `instances` objects of that mesh (V, 3) and diameter, in metres, pile up `pile.layers` high.
 
-    What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841).
+    What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841). They also have room in
+    the smallest of the scenes' bins.
     """
-    hull = _hull(vertices)
+    hull, least = _hull(vertices), 1 - pile.bin_jitter
     height = pile.wall_height * diameter
-    floor = instances * max(hull.area / 4 / pile.layers, hull.volume / (PACKING * height))
-    stretch = math.sqrt(pile.aspect)
-    width, depth = (max(side, MIN_SIDE * diameter) for side in (math.sqrt(floor) * stretch, math.sqrt(floor) / stretch))
-    return BinSize(width, depth, height)
+    floor = instances * max(hull.area / 4 / pile.layers, hull.volume / (PACKING * height * least**2))
+    sides = math.sqrt(floor) * np.array([math.sqrt(pile.aspect), 1 / math.sqrt(pile.aspect)])
+    width, depth = np.maximum(sides, MIN_SIDE * diameter / least)
+    return BinSize(float(width), float(depth), height)
+
+
+def smallest_bin(pile: PileConfig, size: BinSize) -> BinSize:
+    """The smallest bin that a scene of a dataset whose bin is `size` may have."""
+    least = 1 - pile.bin_jitter
+    return replace(size, width=least * size.width, depth=least * size.depth)
 
 
 def scene_bin(pile: PileConfig, size: BinSize, seed: int, scene: int) -> BinSize:

@@ -16,7 +16,7 @@ from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Scene, View
 from evalkit.shards import ShardHeader
-from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side, scene_bin
+from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side, scene_bin, smallest_bin
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
 from simgen.physics import Body, Part, simulate_pile
@@ -61,14 +61,16 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
     """
     diameter, (vertices, _) = model.diameter, _mesh_of(model)
     size = config.bin or fitting_bin(vertices, diameter, config.instances_max, config.pile)
-    if (1 - config.pile.bin_jitter) * min(size.width, size.depth) < diameter:
+    smallest = smallest_bin(config.pile, size)
+    jitter = "" if smallest == size else f" less --bin-jitter {config.pile.bin_jitter:g}"
+    if min(smallest.width, smallest.depth) < diameter:
         raise InputError(
-            f"--bin {size}: the object '{model.name}' is {diameter:g} m across; "
+            f"--bin {size}{jitter}: the object '{model.name}' is {diameter:g} m across; "
             "give a bin whose width and depth are larger, in metres, or --bin auto."
         )
-    if fill_level(vertices, size, config.instances_max) > MAX_FILL:
+    if fill_level(vertices, smallest, config.instances_max) > MAX_FILL:
         raise InputError(
-            f"--bin {size}: {config.instances_max} instances of '{model.name}' do not fit into it; "
+            f"--bin {size}{jitter}: {config.instances_max} instances of '{model.name}' do not fit into it; "
             "give a larger --bin in metres or fewer --instances."
         )
     nearest, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
