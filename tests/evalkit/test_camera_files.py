@@ -75,6 +75,30 @@ def test_lens_distortion_is_said_in_one_sentence(tmp_path: Path, capsys: pytest.
     assert "camera.yaml" in said.err and "distortion" in said.err and "rectify" in said.err
 
 
+@pytest.mark.parametrize("model", ["equidistant", "fisheye", "thin_prism_fisheye", "Kannala_Brandt4"])
+def test_a_fisheye_is_refused_even_without_coefficients(tmp_path: Path, model: str) -> None:
+    with pytest.raises(InputError, match=rf"camera\.yaml.*{model}.*rectify"):
+        load(tmp_path, TOPIC.replace("plumb_bob", model))
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "Inverse Brown Conrady", "None", ""])
+def test_other_lenses_without_coefficients_are_pinholes(
+    tmp_path: Path, model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert load(tmp_path, TOPIC.replace("plumb_bob", model)) == EXPECTED
+    assert capsys.readouterr().err == ""
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    for text, name, says in (
+        (CALIBRATOR.replace("image_width: 640\n", "") % 0, "a.yaml", "image_width"),
+        ('{"fx": 9, "fy": 9, "cx": 4, "width": 8, "height": 8}', "a.json", "'cy'"),
+        ('{"0": {"cam_K": [9, 0, 4, 0, 9, 4, 0, 0, 1], "depth_scale": 1.0}}', "scene_camera.json", "BOP camera.json"),
+    ):
+        with pytest.raises(InputError, match=says):
+            load(tmp_path, text, name)
+
+
 def test_bops_camera_has_our_fields(tmp_path: Path) -> None:
     document = {"cx": 325.2611, "cy": 242.04899, "depth_scale": 1.0, "fx": 572.4114, "fy": 573.57043}
     document |= {"height": 480, "width": 640}

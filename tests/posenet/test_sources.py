@@ -91,6 +91,17 @@ def test_a_camera_that_the_user_gives_goes_before_camera_params(tmp_path: Path) 
     assert open_source(folder, write_camera(tmp_path), 1e-4).names == ["a", "b", "c"]
 
 
+def test_the_camera_may_be_as_ros_or_bop_write_it(tmp_path: Path) -> None:
+    folder, ros, bop = write_folder(tmp_path / "images"), tmp_path / "info.yaml", tmp_path / "bop.json"
+    ros.write_text("height: 30\nwidth: 40\ndistortion_model: plumb_bob\nk: [50.0, 0, 19.0, 0, 51.0, 15.5, 0, 0, 1]\n")
+    bop.write_text(json.dumps(CAMERA.to_json() | {"depth_scale": 0.1}))
+    for path in (ros, bop):
+        assert open_source(folder, path, 1e-4).camera == CAMERA
+    ros.write_text(ros.read_text().replace("plumb_bob", "equidistant"))
+    with pytest.raises(InputError, match=r"info\.yaml.*equidistant"):
+        open_source(folder, ros, 1e-4)
+
+
 def test_few_of_many_images_are_spread_over_the_source(debug_shards: Path) -> None:
     source = open_source(debug_shards)
     assert source.spread(2) == [0, len(source.names) - 1]

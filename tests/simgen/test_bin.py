@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from simgen.bin import bin_mesh, fitting_bin, scene_bin, wall_boxes
+from simgen.bin import PACKING, bin_mesh, fill_level, fitting_bin, scene_bin, smallest_bin, wall_boxes
 from simgen.config import BinSize, PileConfig
 
 SIZE = BinSize(0.4, 0.3, 0.1)
@@ -18,6 +18,17 @@ def test_more_layers_make_a_smaller_bin_of_the_asked_for_shape() -> None:
     assert flat.width * flat.depth == pytest.approx(2 * deep.width * deep.depth)
     assert deep.width / deep.depth == pytest.approx(1.25)
     assert deep.height == pytest.approx(0.15)
+
+
+def test_the_smallest_bin_of_a_scene_has_room_for_all() -> None:
+    """Or its drops would be redone until the attempts are used up, and a build die of one scene."""
+    pile = PileConfig(layers=9.0, bin_jitter=0.3)
+    size = fitting_bin(TILE, 0.1, 80, pile)
+    smallest = smallest_bin(pile, size)
+    assert fill_level(TILE, smallest, 80) <= PACKING + 1e-9
+    assert all(scene_bin(pile, size, 0, scene).width >= smallest.width for scene in range(100))
+    lonely = smallest_bin(PileConfig(bin_jitter=0.5), fitting_bin(TILE, 0.1, 1, PileConfig(bin_jitter=0.5)))
+    assert min(lonely.width, lonely.depth) > 0.1
 
 
 def test_without_jitter_every_scene_has_the_datasets_bin() -> None:

@@ -197,6 +197,13 @@ def run(*arguments: str) -> Result:
         (["--camera", "aside"], "principal point (500, 29.5) lies outside the image"),
         (["--camera", "wide"], "pixels across"),
         (["--camera", "tele"], "too far for an object of"),
+        (["--tilt", "60-20"], "--tilt 60-20"),
+        (["--tilt", "20-90"], "--tilt 90"),
+        (["--distance", "0"], "--distance 0"),
+        (["--look-at-jitter", "-0.1"], "--look-at-jitter -0.1"),
+        (["--bin-jitter", "nan"], "--bin-jitter nan"),
+        (["--walls", "2"], "--walls 2"),
+        (["--bin", "0.12x0.12x0.1", "--bin-jitter", "0.4"], "less --bin-jitter 0.4: the object 'bunny' is"),
     ],
 )
 def test_bad_options_get_one_sentence_and_exit_code_2(arguments: list[str], sentence: str, tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import pytest
 
@@ -22,6 +24,7 @@ from simgen.config import (
     parse_range,
     sileane,
 )
+from simgen.sensor_config import stereo
 
 
 def test_the_default_is_the_papers() -> None:
@@ -124,3 +127,35 @@ def test_a_range_is_a_number_or_two_in_order() -> None:
     for text in ("", "steep", "1-2-3", "-5", "9-8", "nan"):
         with pytest.raises(InputError, match="--tilt"):
             parse_range("--tilt", text)
+
+
+def with_one_changed(config: Any) -> Iterator[tuple[str, Any]]:
+    """The same dataclass with each of its values, those of nested ones too, changed by itself."""
+    for entry in fields(config):
+        value = getattr(config, entry.name)
+        if is_dataclass(value):
+            yield from (
+                (f"{entry.name}.{name}", replace(config, **{entry.name: v})) for name, v in with_one_changed(value)
+            )
+        else:
+            yield entry.name, replace(config, **{entry.name: changed(value)})
+
+
+def changed(value: Any) -> Any:
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, str):
+        return {"zstd": "gzip", "cpu": "pyrender"}.get(value, "another")
+    return value - 1 if isinstance(value, int) and value > 1 else value * 0.98 if value else value + 1
+
+
+def test_every_value_is_told() -> None:
+    config = replace(sileane(), bin=BinSize(0.4, 0.3, 0.1), sensor=stereo())
+    for name, other in with_one_changed(config):
+        assert other.describe() != config.describe(), name
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_survives_the_dataset_file(preset: str) -> None:
+    document = PRESETS[preset]().to_json()
+    assert json.loads(json.dumps(document)) == document

@@ -16,6 +16,7 @@ from evalkit.errors import InputError
 SUFFIXES_OF_YAML = (".yaml", ".yml")
 FORMATS = "give width, height, fx, fy, cx, cy as JSON, a BOP camera.json, or a ROS camera_info as YAML"
 LARGEST_FILE = 1 << 20  # bytes; such files hold a few hundred
+FISHEYES = ("equidistant", "fisheye", "kannala", "omni", "mei", "unified", "ftheta", "f-theta")
 NEGLIGIBLE = 1e-9  # distortion coefficients and skew per focal length that are written out as good as zero
 
 
@@ -28,22 +29,27 @@ def read_intrinsics(path: Path) -> Any:
     stderr.
 
     Raises:
-        InputError: the file is neither JSON nor YAML, or its matrix is not one of a pinhole camera.
+        InputError: the file is neither JSON nor YAML, holds no camera, or not that of a pinhole camera.
     """
     document = _parse(path)
-    if not isinstance(document, dict) or "fx" in document:
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: holds no camera; {FORMATS}.")
+    _refuse_fisheye(document, str(path))
+    if not {"fx", "fy", "cx", "cy"}.isdisjoint(document):
         return document
     matrix = _camera_matrix(document, str(path))
     if matrix is None:
-        return document
+        raise InputError(f"{path}: holds no camera; {FORMATS}.")
     if _is_distorted(document, str(path)):
         print(
             f"Warning: {path}: its lens distortion is ignored, for cameras are pinholes here; "
             "rectify the depth images to its camera matrix first.",
             file=sys.stderr,
         )
-    sides = {"width": document.get("image_width", document.get("width")),
-             "height": document.get("image_height", document.get("height"))}  # fmt: skip
+    sides = {side: document.get(f"image_{side}", document.get(side)) for side in ("width", "height")}
+    for side, value in sides.items():
+        if value is None:
+            raise InputError(f"{path}: holds a camera matrix but no image_{side}; add it, in pixels.")
     (fx, _, cx), (_, fy, cy) = matrix[0], matrix[1]
     return sides | {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
 
@@ -92,6 +98,16 @@ def _pinhole(matrix: NDArray[np.float64], where: str, key: str) -> NDArray[np.fl
     if not zeros <= NEGLIGIBLE * max(1.0, abs(matrix[0, 0])):
         raise InputError(f"{where}: '{key}' must be fx 0 cx, 0 fy cy, 0 0 1, row by row; skew is not modelled.")
     return matrix
+
+
+def _refuse_fisheye(document: dict[Any, Any], where: str) -> None:
+    """A fisheye's matrix is not a pinhole's, not even where all its coefficients are zero."""
+    model = document.get("distortion_model")
+    if isinstance(model, str) and any(name in model.lower() for name in FISHEYES):
+        raise InputError(
+            f"{where}: its distortion_model is '{model}', of a fisheye lens, but cameras are pinholes here; rectify "
+            "the depth images, and give the pinhole camera that they were rectified to."
+        )
 
 
 def _is_distorted(document: dict[Any, Any], where: str) -> bool:

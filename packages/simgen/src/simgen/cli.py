@@ -90,8 +90,8 @@ def build_command(
         click.echo(f"Warning: {warning}", err=True)
     job = plan(config, prepared.model, prepared.convex_parts)
     click.echo(prepared.summary)
-    click.echo(f"Bin {job.bin} m, depth unit {job.depth_unit:g} m.")
     click.echo(job.config.describe())
+    click.echo(f"Depth unit: {job.depth_unit:g} m.")
     if config.sensor is not None:
         click.echo(config.sensor.describe(config.camera, *camera_distances(job)))
     start = time.monotonic()

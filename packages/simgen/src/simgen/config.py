@@ -87,6 +87,14 @@ class PileConfig:
         ):
             _require_within(name, value, least, most)
 
+    def describe(self) -> str:
+        return (
+            f"{self.layers:g} layers high in an automatic bin of aspect {self.aspect:g} with walls of "
+            f"{self.wall_height:g} diameters; bin sides ± {_percent(self.bin_jitter)}, walls in "
+            f"{_percent(self.wall_probability)} of the scenes, dropped over {_percent(self.drop_spread_min)} to 100% "
+            f"of its sides from up to {self.drop_height_max:g} diameters higher than needed."
+        )
+
 
 @dataclass(frozen=True)
 class PhysicsConfig:
@@ -139,6 +147,14 @@ class ViewpointConfig:
         _require_within("--distance", self.nearest, 0.01, self.farthest)
         _require_within("--look-at-jitter", self.look_at_jitter, 0.0, 0.5)
         _require_within("max_turn_degrees", self.max_turn_degrees, 0.0, 180.0)
+
+    def describe(self) -> str:
+        return (
+            f"tilted by {self.min_tilt_degrees:g} to {self.max_tilt_degrees:g}° where walls hide no more than half "
+            f"the floor, turned by up to {self.max_turn_degrees:g}°, from {self.nearest:g} to {self.farthest:g} times "
+            f"the distance at which the bin fits, looking up to {_percent(self.look_at_jitter)} of its sides off the "
+            f"middle."
+        )
 
 
 @dataclass(frozen=True)
@@ -195,17 +211,20 @@ class BuildConfig:
         return range(shard * self.shard_scenes, min((shard + 1) * self.shard_scenes, self.scenes))
 
     def describe(self) -> str:
-        """What is drawn anew for every scene and view, and within which bounds, in two sentences."""
-        pile, view = self.pile, self.viewpoints
-        return (
-            f"Piles: {self.instances_min} to {self.instances_max} instances, bin sides ± {pile.bin_jitter:.0%}, "
-            f"walls in {pile.wall_probability:.0%} of the scenes, dropped over {pile.drop_spread_min:.0%} to 100% of "
-            f"its sides from up to {pile.drop_height_max:g} diameters higher than needed.\n"
-            f"Views: tilted by {view.min_tilt_degrees:g} to {view.max_tilt_degrees:g}° where walls hide no more than "
-            f"half the floor, turned by up to {view.max_turn_degrees:g}°, from {view.nearest:g} to {view.farthest:g} "
-            f"times the distance at which the bin fits, looking up to {view.look_at_jitter:.0%} of its sides off the "
-            f"middle."
-        )
+        """Every value, a line for each part: what is made, what is drawn within which bounds, and the constants."""
+        camera, kept = self.camera, ", ideal depth kept too" if self.keep_ideal else ""
+        lines = [
+            f"Set: {self.scenes} scenes of {self.views} views, seed {self.seed}, {self.shard_scenes} scenes a shard, "
+            f"{self.compression}, drawn by the {self.renderer} renderer{kept}.",
+            f"Camera: {camera.width} x {camera.height} pixels, fx {camera.fx:.9g}, fy {camera.fy:.9g}, "
+            f"cx {camera.cx:.9g}, cy {camera.cy:.9g}.",
+            f"Piles: {self.instances_min} to {self.instances_max} instances, {self.pile.describe()}",
+            f"Views: {self.viewpoints.describe()}",
+            f"Physics: {_listed(self.physics)}.",
+        ]
+        if self.bin is not None:
+            lines.insert(2, f"Bin: {self.bin} m{'' if self.bin.walls else ', without walls'}.")
+        return "\n".join(lines if self.sensor is None else [*lines, f"Sensor: {_listed(self.sensor)}."])
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -264,6 +283,18 @@ PRESETS: dict[str, Callable[[], BuildConfig]] = {
     "demo": demo,
     "debug": debug,
 }
+
+
+def _listed(values: PhysicsConfig | SensorConfig) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_number(value)}" for name, value in asdict(values).items())
+
+
+def _number(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g}%"
 
 
 def _require_within(name: str, value: float, least: float, most: float) -> None:
