@@ -16,7 +16,7 @@ from evalkit.camera import Camera
 from evalkit.errors import InputError
 from evalkit.objects import ObjectModel
 from evalkit.scene import Instances, View
-from evalkit.shards import DATASET_FILE, ShardHeader, ShardWriter, _seal, shard_name, write_dataset_file
+from evalkit.shards import DATASET_FILE, SCHEMA, ShardHeader, ShardWriter, seal, shard_name, write_dataset_file
 from simgen.builtin_objects import BUILTIN_OBJECTS
 from simgen.labels import label_instances, quantised
 from simgen.rasterizer import Rasterizer
@@ -85,7 +85,7 @@ def change(path: Path, edit: Callable[[h5py.File], None]) -> None:
     """Change a shard and seal it again, so that only its labels are wrong."""
     with h5py.File(path, "r+") as file:
         edit(file)
-    _seal(path)
+    seal(path, SCHEMA)
 
 
 def set_value(name: str, place: object, value: object) -> Callable[[h5py.File], None]:

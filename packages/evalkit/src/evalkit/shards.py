@@ -20,7 +20,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -82,9 +82,7 @@ class ShardWriter:
         if compression not in COMPRESSIONS:
             raise InputError(f"compression '{compression}' is not known; use one of {', '.join(COMPRESSIONS)}.")
         self.path, self.header, self.frames, self.keep_ideal = Path(path), header, frames, keep_ideal
-        self._filters: dict[str, Any] = (
-            dict(hdf5plugin.Zstd(clevel=1)) if compression == "zstd" else {"compression": "gzip", "compression_opts": 4}
-        )
+        self._filters = compression_filters(compression)
         self._appended = 0
         self._rows: list[Instances] = []
         self._per_frame: list[tuple[int, int, NDArray[np.float64]]] = []
@@ -94,7 +92,7 @@ class ShardWriter:
         self._temporary = self._atomic.__enter__()
         try:
             self._file = h5py.File(self._temporary, "w", userblock_size=USER_BLOCK)
-            self._write_header()
+            self._prepare_frames()
         except BaseException as error:
             self._atomic.__exit__(type(error), error, error.__traceback__)
             raise
@@ -124,30 +122,15 @@ class ShardWriter:
                 self._write_labels()
             self._file.close()
             if kind is None:
-                _seal(self._temporary)
+                seal(self._temporary, SCHEMA)
         except BaseException as failure:
             self._atomic.__exit__(type(failure), failure, failure.__traceback__)
             raise
         self._atomic.__exit__(kind, error, trace)
 
-    def _write_header(self) -> None:
+    def _prepare_frames(self) -> None:
         head, file = self.header, self._file
-        file.attrs["schema"] = SCHEMA
-        file.attrs["depth_unit"] = float(head.depth_unit)
-        file.attrs["seed"] = int(head.seed)
-        for name, value in (
-            ("camera", head.camera.to_json()),
-            ("object", head.object.to_json()),
-            ("config", head.config),
-            ("software", head.software),
-        ):
-            text = json.dumps(value, sort_keys=True)
-            file.attrs[name] = text if len(text) < 60_000 else ""  # an attribute holds at most 64 KB
-            if len(text) >= 60_000:
-                file.create_dataset(f"json/{name}", data=np.frombuffer(text.encode(), np.uint8), **self._filters)
-        if head.object.vertices is not None and head.object.faces is not None:
-            self._dataset("object/vertices", head.object.vertices.astype("<f8"))
-            self._dataset("object/faces", head.object.faces.astype("<i4"))
+        write_header(file, head, SCHEMA, self._filters)
         shape = (head.camera.height, head.camera.width)
         names = ("depth", *(("depth_ideal",) if self.keep_ideal else ()), "instance_id")
         for name in names:
@@ -163,21 +146,22 @@ class ShardWriter:
             )
 
     def _write_labels(self) -> None:
-        self._dataset("scene_index", np.array([f[0] for f in self._per_frame], "<i4"))
-        self._dataset("view_index", np.array([f[1] for f in self._per_frame], "<i4"))
-        self._dataset("cam_from_world", np.array([f[2] for f in self._per_frame], "<f8").reshape(-1, 4, 4))
-        self._dataset("frame_offset", np.cumsum([0, *(len(rows) for rows in self._rows)]).astype("<i8"))
+        write_array(self._file, "scene_index", np.array([f[0] for f in self._per_frame], "<i4"), self._filters)
+        write_array(self._file, "view_index", np.array([f[1] for f in self._per_frame], "<i4"), self._filters)
+        write_array(
+            self._file,
+            "cam_from_world",
+            np.array([f[2] for f in self._per_frame], "<f8").reshape(-1, 4, 4),
+            self._filters,
+        )
+        write_array(
+            self._file, "frame_offset", np.cumsum([0, *(len(rows) for rows in self._rows)]).astype("<i8"), self._filters
+        )
         for name in _INSTANCE_FIELDS:
             shape = _INSTANCE_SHAPES.get(name, ())
             parts = [np.asarray(getattr(rows, name)).reshape(-1, *shape) for rows in self._rows]
             stacked = np.concatenate(parts) if parts else np.zeros((0, *shape))
-            self._dataset(name, stacked.astype(_INSTANCE_DTYPES[name]))
-
-    def _dataset(self, name: str, data: NDArray[Any]) -> None:
-        if data.size == 0:
-            self._file.create_dataset(name, data=data)
-            return
-        self._file.create_dataset(name, data=data, chunks=data.shape, fletcher32=True, **self._filters)
+            write_array(self._file, name, stacked.astype(_INSTANCE_DTYPES[name]), self._filters)
 
 
 class ShardReader:
@@ -200,7 +184,7 @@ class ShardReader:
                 f"{path}: not a readable HDF5 file (truncated or damaged); delete it and run 'simgen build' again."
             ) from None
         try:
-            self.header = self._read_header()
+            self.header = read_header(self._file, self.path, SCHEMA)
             self._labels = {name: self._file[name][()] for name in _INSTANCE_FIELDS}
             self._offset = self._file["frame_offset"][()]
             self._scene, self._view = self._file["scene_index"][()], self._file["view_index"][()]
@@ -284,30 +268,6 @@ class ShardReader:
             raise InputError(
                 f"{self.path}: frame {index} is damaged; delete the file and run 'simgen build' again."
             ) from None
-
-    def _read_header(self) -> ShardHeader:
-        attrs = self._file.attrs
-        schema = attrs.get("schema")
-        if schema != SCHEMA:
-            raise InputError(f"{self.path}: schema {schema!r} where {SCHEMA!r} is needed; rebuild it with this simgen.")
-        model = ObjectModel.from_json(self._json("object"), f"{self.path}: object")
-        if "object/vertices" in self._file:
-            vertices, faces = self._file["object/vertices"][()], self._file["object/faces"][()]
-            model = ObjectModel(
-                **{**{f.name: getattr(model, f.name) for f in fields(model)}, "vertices": vertices, "faces": faces}
-            )
-        return ShardHeader(
-            camera=Camera.from_json(self._json("camera"), f"{self.path}: camera"),
-            depth_unit=float(attrs["depth_unit"]),
-            object=model,
-            config=self._json("config"),
-            seed=int(attrs["seed"]),
-            software=self._json("software"),
-        )
-
-    def _json(self, name: str) -> Any:
-        text = self._file.attrs[name]
-        return json.loads(text if text else self._file[f"json/{name}"][()].tobytes().decode())
 
 
 class ShardDataset(Sequence[View]):
@@ -419,12 +379,17 @@ def write_dataset_file(folder: Path | str, header: ShardHeader, shards: list[dic
         "schema": SCHEMA,
         "camera": header.camera.to_json(),
         "depth_unit": header.depth_unit,
-        "object": header.object.to_json(),
-        "config": header.config,
+        "object": _in_order(header.object.to_json()),
+        "config": _in_order(header.config),
         "seed": header.seed,
         "shards": shards,
     }
     write_json(Path(folder) / DATASET_FILE, document, indent=1)
+
+
+def _in_order(document: dict[str, Any]) -> Any:
+    """The same with its keys in the order in which shards have them, so that wherever it comes from its bytes agree."""
+    return json.loads(json.dumps(document, sort_keys=True))
 
 
 def checksum_problem(path: Path | str) -> str | None:
@@ -452,12 +417,74 @@ def sha256_stated(path: Path | str) -> str | None:
     return words[2].decode("ascii", "replace") if len(words) == 3 and words[1] == b"sha256" else None
 
 
-def _seal(path: Path) -> None:
+def seal(path: Path | str, schema: str) -> None:
+    """Write the schema and the SHA-256 of all that follows into the user block of a finished, closed file."""
     with open(path, "r+b") as file:
         file.seek(USER_BLOCK)
         digest = _hash_rest(file)
         file.seek(0)
-        file.write(f"{SCHEMA} sha256 {digest}\n".encode().ljust(USER_BLOCK, b"\0"))
+        file.write(f"{schema} sha256 {digest}\n".encode().ljust(USER_BLOCK, b"\0"))
+
+
+def compression_filters(compression: str) -> dict[str, Any]:
+    """What h5py's `create_dataset` wants to be told, of one of COMPRESSIONS."""
+    return dict(hdf5plugin.Zstd(clevel=1)) if compression == "zstd" else {"compression": "gzip", "compression_opts": 4}
+
+
+def write_header(file: Any, header: ShardHeader, schema: str, filters: dict[str, Any]) -> None:
+    """Write into an open HDF5 file what all its frames share."""
+    file.attrs["schema"] = schema
+    file.attrs["depth_unit"] = float(header.depth_unit)
+    file.attrs["seed"] = int(header.seed)
+    for name, value in (
+        ("camera", header.camera.to_json()),
+        ("object", header.object.to_json()),
+        ("config", header.config),
+        ("software", header.software),
+    ):
+        text = json.dumps(value, sort_keys=True)
+        file.attrs[name] = text if len(text) < 60_000 else ""  # an attribute holds at most 64 KB
+        if len(text) >= 60_000:
+            file.create_dataset(f"json/{name}", data=np.frombuffer(text.encode(), np.uint8), **filters)
+    if header.object.vertices is not None and header.object.faces is not None:
+        write_array(file, "object/vertices", header.object.vertices.astype("<f8"), filters)
+        write_array(file, "object/faces", header.object.faces.astype("<i4"), filters)
+
+
+def write_array(file: Any, name: str, data: NDArray[Any], filters: dict[str, Any]) -> None:
+    """Write an array into an open HDF5 file as one checksummed chunk."""
+    if data.size == 0:
+        file.create_dataset(name, data=data)
+        return
+    file.create_dataset(name, data=data, chunks=data.shape, fletcher32=True, **filters)
+
+
+def read_header(file: Any, path: Path | str, schema: str) -> ShardHeader:
+    """What :func:`write_header` wrote into an open HDF5 file; `path` names it in errors.
+
+    Raises:
+        InputError: it is of another schema, or a part of the header makes no sense.
+        OSError, KeyError, JSONDecodeError: a part is damaged or missing.
+    """
+    found = file.attrs.get("schema")
+    if found != schema:
+        raise InputError(f"{path}: schema {found!r} where {schema!r} is needed; rebuild it with this simgen.")
+
+    def read_json(name: str) -> Any:
+        text = file.attrs[name]
+        return json.loads(text if text else file[f"json/{name}"][()].tobytes().decode())
+
+    model = ObjectModel.from_json(read_json("object"), f"{path}: object")
+    if "object/vertices" in file:
+        model = replace(model, vertices=file["object/vertices"][()], faces=file["object/faces"][()])
+    return ShardHeader(
+        camera=Camera.from_json(read_json("camera"), f"{path}: camera"),
+        depth_unit=float(file.attrs["depth_unit"]),
+        object=model,
+        config=read_json("config"),
+        seed=int(file.attrs["seed"]),
+        software=read_json("software"),
+    )
 
 
 def _hash_rest(file: Any) -> str:

@@ -10,14 +10,12 @@ import contextlib
 import fcntl
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, Future, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from evalkit.errors import InputError
 from evalkit.scene import Scene
@@ -30,11 +28,12 @@ from evalkit.shards import (
     shard_name,
     write_dataset_file,
 )
-from simgen.local_pool import count_scene, local_pool
-from simgen.scenes import Job, SceneRenderer, simulate_scene
+from simgen.identity import first_difference, identity, own_identity
+from simgen.local_pool import count_scene, processes_here
+from simgen.progress import SceneProgress
+from simgen.scenes import Job, SceneRenderer
+from simgen.tasks import run_tasks
 from simgen.viewpoints import draw_viewpoints
-
-MAX_BROKEN_POOLS = 3
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,8 @@ def build(job: Job, folder: Path, workers: int) -> BuildReport:
         if missing:
             _compile(job)
             try:
-                with tqdm(total=_scenes(job, missing), unit="scene") as bar:
-                    _build_shards(job, folder, missing, workers, report, bar)
+                with SceneProgress(_scenes(job, missing)) as progress:
+                    _build_shards(job, folder, missing, workers, report, progress)
             finally:
                 _remove_leftovers(folder)
     return report
@@ -93,11 +92,11 @@ def build_shard(job: Job, folder: Path, shard: int) -> ShardReport:
     path, ideal = folder / shard_name(shard), job.config.keep_ideal
     with ShardWriter(path, job.header(), frames, job.config.compression, ideal) as writer:
         for number in numbers:
-            scene, attempts = simulate_scene(job, number)
+            scene, attempts = job.scene(number)
             redone += attempts - 1
             for view in renderer.views(scene):
                 writer.append(view)
-            count_scene()
+            count_scene(attempts - 1)
     return ShardReport(shard, len(numbers), redone)
 
 
@@ -110,7 +109,7 @@ def _claim(folder: Path, job: Job) -> None:
     header = job.header()
     if (folder / DATASET_FILE).exists():
         document = read_dataset_file(folder)
-        difference = _first_difference(_identity(document.get("config"), document.get("object")), _own_identity(job))
+        difference = first_difference(identity(document.get("config"), document.get("object")), own_identity(job))
         if difference is not None:
             raise InputError(
                 f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
@@ -127,33 +126,11 @@ def _claim(folder: Path, job: Job) -> None:
     write_dataset_file(folder, header, shards)
 
 
-def _own_identity(job: Job) -> dict[str, Any]:
-    header = job.header()
-    return _identity(header.config, header.object.to_json())
-
-
-def _identity(config: Any, model: Any) -> dict[str, Any]:
-    """What tells datasets apart, from the JSON forms of config and object."""
-    known = model if isinstance(model, dict) else {}
-    return {"config": config, "object": {key: known.get(key) for key in ("name", "diameter", "symmetry")}}
-
-
-def _first_difference(theirs: Any, ours: Any, name: str = "") -> str | None:
-    """The first entry in which two JSON documents differ, in words; None if there is none."""
-    if isinstance(theirs, dict) and isinstance(ours, dict):
-        for key in sorted({*theirs, *ours}):
-            found = _first_difference(theirs.get(key), ours.get(key), f"{name}.{key}" if name else key)
-            if found is not None:
-                return found
-        return None
-    return None if theirs == ours else f"{name} is {theirs} there and {ours} here"
-
-
 def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
-    missing, identity = [], _own_identity(job)
+    missing, own = [], own_identity(job)
     for shard in range(job.config.shards):
         path = folder / shard_name(shard)
-        if path.exists() and _is_intact(path, identity):
+        if path.exists() and _is_intact(path, own):
             report.kept += 1
             continue
         missing.append(shard)
@@ -162,12 +139,12 @@ def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
     return missing
 
 
-def _is_intact(path: Path, identity: dict[str, Any]) -> bool:
+def _is_intact(path: Path, own: dict[str, Any]) -> bool:
     if checksum_problem(path) is not None:
         return False
     try:
         with ShardReader(path) as reader:
-            return _identity(reader.header.config, reader.header.object.to_json()) == identity
+            return identity(reader.header.config, reader.header.object.to_json()) == own
     except InputError:
         return False
 
@@ -190,33 +167,13 @@ def _compile(job: Job) -> None:
         pass
 
 
-def _build_shards(job: Job, folder: Path, shards: list[int], workers: int, report: BuildReport, bar: tqdm[Any]) -> None:
-    """Run the tasks on local processes; those that a dying worker took along are handed to a new pool."""
-    remaining, broken_in_a_row = set(shards), 0
-    while remaining:
-        try:
-            with local_pool(min(workers, len(remaining)), bar) as executor:
-                for finished in _run(executor, job, folder, sorted(remaining)):
-                    remaining.discard(finished.shard)
-                    report.written.append(finished)
-                    broken_in_a_row = 0
-        except BrokenProcessPool:
-            report.broken_pools += 1
-            broken_in_a_row += 1
-            if broken_in_a_row > MAX_BROKEN_POOLS:
-                raise InputError(
-                    "worker processes keep being killed, most likely for lack of memory; "
-                    "run the same command again with fewer --workers."
-                ) from None
-        bar.n = bar.total - _scenes(job, remaining)
-        bar.refresh()
+def _build_shards(
+    job: Job, folder: Path, shards: list[int], workers: int, report: BuildReport, progress: SceneProgress
+) -> None:
+    def submit(executor: Executor, shard: int) -> Future[ShardReport]:
+        return executor.submit(build_shard, job.for_shard(shard), folder, shard)
 
-
-def _run(executor: Executor, job: Job, folder: Path, shards: list[int]) -> Iterator[ShardReport]:
-    """Build shards on any executor of `concurrent.futures`, and report them as they are done."""
-    futures: list[Future[ShardReport]] = [executor.submit(build_shard, job, folder, shard) for shard in shards]
-    for future in as_completed(futures):
-        yield future.result()
+    report.broken_pools = run_tasks(processes_here(workers), shards, submit, report.written.append, progress)
 
 
 @contextlib.contextmanager

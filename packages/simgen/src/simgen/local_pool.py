@@ -11,23 +11,35 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import AbstractContextManager
 from multiprocessing.connection import wait
 from typing import Any
 
-from tqdm import tqdm
+from simgen.progress import SceneProgress
+from simgen.tasks import Pool
 
 POLL_SECONDS = 0.2
-_scenes_done: Any = None  # this worker's share of the pool's counter; None in every other process
+_counters: Any = None  # this worker's share of the pool's scenes done and redone; None in every other process
+
+
+def processes_here(workers: int) -> Pool:
+    """Pools of at most `workers` processes on this machine, for :func:`simgen.tasks.run_tasks`."""
+
+    def pool(tasks: int, progress: SceneProgress) -> AbstractContextManager[Executor]:
+        return local_pool(min(workers, tasks), progress)
+
+    return pool
 
 
 @contextlib.contextmanager
-def local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
+def local_pool(workers: int, progress: SceneProgress) -> Iterator[Executor]:
     """An executor of `workers` processes, ended at once when the block is left by an exception, Ctrl-C included."""
     context = multiprocessing.get_context("spawn")
-    counter, others = context.Value("q", 0), set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(workers, context, _start_worker, (counter,))
+    counters = context.Array("q", [progress.done, progress.redone])
+    others = set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(workers, context, _start_worker, (counters,))
     stop = threading.Event()
-    thread = threading.Thread(target=_show, args=(bar, bar.n, counter, stop), daemon=True)
+    thread = threading.Thread(target=_show, args=(progress, counters, stop), daemon=True)
     thread.start()
     try:
         yield executor
@@ -43,24 +55,23 @@ def local_pool(workers: int, bar: tqdm[Any]) -> Iterator[Executor]:
         thread.join()
 
 
-def count_scene() -> None:
-    """Tell the pool's owner that a scene is done; without a pool, nobody."""
-    if _scenes_done is not None:
-        with _scenes_done.get_lock():
-            _scenes_done.value += 1
+def count_scene(redone: int) -> None:
+    """Tell the pool's owner that a scene is done, after so many drops redone; without a pool, nobody."""
+    if _counters is not None:
+        with _counters.get_lock():
+            _counters[0] += 1
+            _counters[1] += redone
 
 
-def _show(bar: tqdm[Any], start: int, counter: Any, stop: threading.Event) -> None:
+def _show(progress: SceneProgress, counters: Any, stop: threading.Event) -> None:
     while not stop.wait(POLL_SECONDS):
-        done = start + counter.get_obj().value  # without the lock, which a killed worker may hold for ever
-        if done > bar.n:
-            bar.update(done - bar.n)
+        progress.show(*counters.get_obj())  # without the lock, which a killed worker may hold for ever
 
 
-def _start_worker(counter: Any) -> None:
+def _start_worker(counters: Any) -> None:
     """Leave Ctrl-C to the parent, and do not outlive it: an orphan would go on writing into the folder."""
-    global _scenes_done
-    _scenes_done = counter
+    global _counters
+    _counters = counters
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stderr = io.StringIO()  # errors travel as exceptions; h5py prints one more for each buffer it cannot write
     parent = multiprocessing.parent_process()

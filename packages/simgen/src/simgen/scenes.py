@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,13 @@ from evalkit.shards import ShardHeader
 from simgen.bin import bin_mesh, fill_level, fitting_bin, ground_half_side, scene_bin, smallest_bin
 from simgen.config import BinSize, BuildConfig
 from simgen.labels import label_instances, quantised
-from simgen.physics import Body, Part, simulate_pile
+from simgen.recorded import RecordedScenes
 from simgen.renderers import depth_renderer
 from simgen.sensor import measure, sensor_generator
 from simgen.viewpoints import distance_range, draw_viewpoints, farthest_ground
+
+if TYPE_CHECKING:
+    from simgen.physics import Part
 
 DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
 STEPS_PER_DIAMETER = 500  # 0.1 mm will do for objects of 5 cm and more
@@ -30,30 +34,58 @@ MIN_STEPS_PER_DIAMETER = 50
 MIN_PIXELS = 4
 MAX_FILL = 1.5  # heaps rise above the walls, but no higher
 STEPS = np.iinfo(np.uint16).max
-SOFTWARE = ("binpose-simgen", "binpose-evalkit", "pybullet", "numpy", "numba", "h5py", "hdf5plugin")
+SOFTWARE = ("binpose-simgen", "binpose-evalkit", "numpy", "numba", "h5py", "hdf5plugin")
+PHYSICS_SOFTWARE = ("pybullet",)
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """All that the bytes of a dataset depend on. Make it with :func:`plan`."""
+    """All that the bytes of a dataset depend on. Make it with :func:`plan`.
+
+    Scenes are simulated with the convex parts, unless they are `recorded`.
+    """
 
     config: BuildConfig
     bin: BinSize
     model: ObjectModel
     convex_parts: list[Part]
     depth_unit: float
+    recorded: RecordedScenes | None = None
+
+    def for_shard(self, shard: int) -> Job:
+        """As much of the job as the shard needs."""
+        if self.recorded is None:
+            return self
+        return replace(self, recorded=self.recorded.only(self.config.scenes_of_shard(shard)))
+
+    def scene(self, index: int) -> tuple[Scene, int]:
+        """Scene number `index`, recorded or simulated now, its cameras placed; and how many drops it took."""
+        return simulate_scene(self, index) if self.recorded is None else _recorded_scene(self, self.recorded, index)
 
     def scene_bin(self, scene: int) -> BinSize:
         """The bin of scene number `scene`."""
         return scene_bin(self.config.pile, self.bin, self.config.seed, scene)
 
     def header(self) -> ShardHeader:
-        config = self.config.to_json() | {"geometry_sha256": _fingerprint([_mesh_of(self.model), *self.convex_parts])}
-        software = {name: version(name) for name in SOFTWARE}
-        return ShardHeader(self.config.camera, self.depth_unit, self.model, config, self.config.seed, software)
+        """What all shards of the dataset share; of recorded scenes, as if they had been simulated here."""
+        origin, software = self._origin(), {name: version(name) for name in SOFTWARE}
+        config = self.config.to_json() | origin[0]
+        return ShardHeader(
+            self.config.camera, self.depth_unit, self.model, config, self.config.seed, software | origin[1]
+        )
+
+    def _origin(self) -> tuple[dict[str, Any], dict[str, str]]:
+        """What the header's config says of where the scenes come from, and the software that made their poses."""
+        if self.recorded is None:
+            digest = fingerprint([_mesh_of(self.model), *self.convex_parts])
+            return {"geometry_sha256": digest}, {name: version(name) for name in PHYSICS_SOFTWARE}
+        made_with = self.recorded.software
+        return self.recorded.origin, {name: made_with[name] for name in PHYSICS_SOFTWARE if name in made_with}
 
 
-def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> Job:
+def plan(
+    config: BuildConfig, model: ObjectModel, convex_parts: list[Part], recorded: RecordedScenes | None = None
+) -> Job:
     """Settle what depends on the object's size: the bin, where it is automatic, and the depth unit.
 
     Raises:
@@ -80,7 +112,7 @@ def plan(config: BuildConfig, model: ObjectModel, convex_parts: list[Part]) -> J
     aside = config.viewpoints.look_at_jitter * math.hypot(size.width, size.depth)
     corner = farthest + aside + math.sqrt(2) * (1 + config.pile.bin_jitter) * ground_half_side(size)
     unit = depth_unit_for(min(corner, farthest_ground(config.viewpoints, config.camera, size, farthest)), diameter)
-    return Job(replace(config, bin=size), size, model, convex_parts, unit)
+    return Job(replace(config, bin=size), size, model, convex_parts, unit, recorded)
 
 
 def camera_distances(job: Job) -> tuple[float, float]:
@@ -121,15 +153,28 @@ def depth_unit_for(farthest: float, diameter: float) -> float:
 
 def simulate_scene(job: Job, index: int) -> tuple[Scene, int]:
     """Scene number `index`, its instances at rest and its cameras placed; and how many drops it took."""
-    config, diameter = job.config, job.model.diameter
+    from simgen.physics import Body, simulate_pile  # here, for rendering needs no PyBullet
+
+    config = job.config
     body = Body.from_parts(job.convex_parts, config.physics.simulated_diameter)
     instances = (config.instances_min, config.instances_max)
     size = job.scene_bin(index)
     pile = simulate_pile(body, size, instances, config.physics, config.seed, index, config.pile)
-    cam_from_world = draw_viewpoints(
-        config.viewpoints, config.camera, job.bin, diameter, config.seed, index, config.views
+    return Scene(index, pile.world_from_obj, _drawn_cameras(job, index)), pile.attempts
+
+
+def _recorded_scene(job: Job, recorded: RecordedScenes, index: int) -> tuple[Scene, int]:
+    place = index - recorded.first
+    cameras = _drawn_cameras(job, index) if recorded.cam_from_world is None else recorded.cam_from_world[place]
+    return Scene(index, recorded.world_from_obj[place], cameras), recorded.attempts[place]
+
+
+def _drawn_cameras(job: Job, index: int) -> NDArray[np.float64]:
+    """`cam_from_world` (views, 4, 4) of scene number `index`."""
+    config = job.config
+    return draw_viewpoints(
+        config.viewpoints, config.camera, job.bin, job.model.diameter, config.seed, index, config.views
     )
-    return Scene(index, pile.world_from_obj, cam_from_world), pile.attempts
 
 
 class SceneRenderer:
@@ -174,7 +219,7 @@ def _mesh_of(model: ObjectModel) -> Part:
     return model.vertices, model.faces
 
 
-def _fingerprint(meshes: list[Part]) -> str:
+def fingerprint(meshes: list[Part]) -> str:
     """SHA-256 of the geometry that is drawn and of the hulls that fall."""
     digest = hashlib.sha256()
     for array in (array for mesh in meshes for array in mesh):

@@ -1,0 +1,140 @@
+"""`simgen build`, and its two stages by themselves: `simgen simulate`, `simgen render`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simgen.config import PRESETS, BuildConfig
+from simgen.dataset_options import (
+    camera_options,
+    configured,
+    object_options,
+    pile_options,
+    shard_options,
+    workers_option,
+)
+from simgen.gl_platform import require_gl
+
+if TYPE_CHECKING:
+    from simgen.scenes import Job
+
+
+@click.command("build")
+@object_options
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
+@pile_options
+@camera_options
+@shard_options
+@workers_option
+def build_command(
+    source: str, units: str, scale: float, symmetry: str, output: Path, preset: str, workers: int, **options: Any
+) -> None:
+    """Simulate piles of an object, render them, and write labelled depth images as shards.
+
+    Run the same command again to complete a folder that was interrupted. Options override the preset's values.
+    """
+    config = configured(PRESETS[preset](), **options)
+    _require_renderer(config)
+    _write_shards(_planned(config, source, units, scale, symmetry), output, workers)
+
+
+@click.command("simulate")
+@object_options
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("scenes.h5"), show_default=True)
+@pile_options
+@camera_options
+@shard_options
+@workers_option
+def simulate_command(
+    source: str, units: str, scale: float, symmetry: str, output: Path, preset: str, workers: int, **options: Any
+) -> None:
+    """Simulate piles of an object and write their poses, without any image, as one small file.
+
+    `simgen render` makes of it what `simgen build` with the same options writes, on any machine, PyBullet or not.
+    Run the same command again to go on with a file that was interrupted.
+    """
+    from simgen.simulate import simulate
+
+    job = _planned(configured(PRESETS[preset](), **options), source, units, scale, symmetry)
+    start = time.monotonic()
+    report = simulate(job, output, workers)
+    _warn_of_broken_pools(report.broken_pools)
+    click.echo(
+        f"{output}: {report.simulated} scenes simulated in {time.monotonic() - start:.0f} s, {report.kept} kept, "
+        f"{report.redone} drops redone, {output.stat().st_size / 1e6:.2g} MB"
+    )
+
+
+@click.command("render")
+@click.argument("scenes", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
+@camera_options
+@shard_options
+@workers_option
+def render_command(scenes: Path, output: Path, workers: int, **options: Any) -> None:
+    """Render SCENES, a file of `simgen simulate`, and write labelled depth images as shards.
+
+    Without options the shards are, byte for byte, those of `simgen build`; options put others in place of what
+    `simgen simulate` was given. Needs no PyBullet.
+    """
+    from simgen.scene_file import job_of_scenes
+    from simgen.scenes import plan
+
+    job = job_of_scenes(scenes)
+    job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded)
+    _require_renderer(job.config)
+    _tell(job)
+    _write_shards(job, output, workers)
+
+
+def _planned(config: BuildConfig, source: str, units: str, scale: float, symmetry: str) -> Job:
+    """The job of an object and a config, told to the user."""
+    from simgen.meshes import prepare_object  # here, for --help need not wait for numba and PyBullet
+    from simgen.scenes import plan
+
+    prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry)
+    for warning in prepared.warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    job = plan(config, prepared.model, prepared.convex_parts)
+    click.echo(prepared.summary)
+    _tell(job)
+    return job
+
+
+def _require_renderer(config: BuildConfig) -> None:
+    if config.renderer == "pyrender":
+        require_gl()
+
+
+def _tell(job: Job) -> None:
+    from simgen.scenes import camera_distances
+
+    click.echo(job.config.describe())
+    click.echo(f"Depth unit: {job.depth_unit:g} m.")
+    if job.config.sensor is not None:
+        click.echo(job.config.sensor.describe(job.config.camera, *camera_distances(job)))
+
+
+def _write_shards(job: Job, output: Path, workers: int) -> None:
+    from simgen.build import build
+
+    start = time.monotonic()
+    report = build(job, output, workers)
+    seconds = time.monotonic() - start
+    for name in report.damaged:
+        click.echo(f"Warning: {name} was damaged and has been rebuilt.", err=True)
+    _warn_of_broken_pools(report.broken_pools)
+    written = sum(shard.scenes for shard in report.written)
+    click.echo(
+        f"{output}: {written} scenes ({written * job.config.views} frames) written in {seconds:.0f} s, "
+        f"{report.kept} shards kept, {report.redone} drops redone"
+    )
+
+
+def _warn_of_broken_pools(broken_pools: int) -> None:
+    if broken_pools:
+        click.echo(f"Warning: workers were killed {broken_pools} times; their shards were redone.", err=True)
