@@ -47,6 +47,6 @@ def chromium(tmp_path: Path) -> Callable[..., str]:
 
     def run(*arguments: object) -> str:
         words = [browser, *flags, *map(str, arguments)]
-        return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False).stdout
+        return subprocess.run(words, capture_output=True, text=True, timeout=400, check=False).stdout
 
     return run

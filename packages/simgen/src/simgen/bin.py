@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,15 @@ def scene_bin(pile: PileConfig, size: BinSize, seed: int, scene: int) -> BinSize
     width, depth = np.array([size.width, size.depth]) * rng.uniform(1 - pile.bin_jitter, 1 + pile.bin_jitter, 2)
     walls = size.walls and bool(rng.random() < pile.wall_probability)
     return BinSize(float(width), float(depth), size.height, walls)
+
+
+def recorded_bin(config: dict[str, Any], scene: int) -> BinSize | None:
+    """The bin of one scene, by the config that its shard carries; None where that tells of no bin."""
+    try:
+        pile, size = PileConfig(**config["pile"]), BinSize(**config["bin"])
+        return scene_bin(pile, size, config["seed"], scene)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def fill_level(vertices: ArrayLike, size: BinSize, instances: int) -> float:

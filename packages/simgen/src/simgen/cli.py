@@ -7,7 +7,7 @@ import click
 from evalkit.command import Commands
 from simgen.build_commands import build_command, render_command, simulate_command
 from simgen.export_commands import export_command
-from simgen.inspect_commands import object_command, preview_command, verify_command
+from simgen.inspect_commands import object_command, preview_command, verify_command, view_command
 
 
 @click.group(cls=Commands)
@@ -23,6 +23,7 @@ cli.add_command(export_command)
 cli.add_command(object_command)
 cli.add_command(preview_command)
 cli.add_command(verify_command)
+cli.add_command(view_command)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""`simgen object`, `simgen preview`, `simgen verify`: look at what goes in and at what came out."""
+"""`simgen object`, `simgen preview`, `simgen view`, `simgen verify`: look at what goes in and at what came out."""
 
 from __future__ import annotations
 
@@ -74,6 +74,28 @@ def preview_command(shards: Path, output: Path, frames: int) -> None:
     else:
         plots.save(contact_sheet(dataset, chosen), output)
     click.echo(f"{output} written")
+
+
+@click.command("view")
+@click.argument("shards", type=click.Path(path_type=Path))
+@click.option("--scenes", type=int, default=10, show_default=True, help="How many to show, from the first.")
+@click.option("--save", "recording", type=click.Path(path_type=Path), help="Write a recording (.rrd), open no window.")
+def view_command(shards: Path, scenes: int, recording: Path | None) -> None:
+    """Open scenes in the rerun viewer: instances, bin, cameras, depth, labels (pip install 'binpose-simgen[view]')."""
+    if scenes < 1:
+        raise InputError(f"--scenes {scenes}: must be 1 or more.")
+    import numpy as np
+
+    from evalkit.shards import ShardDataset
+    from simgen.rerun_view import open_viewer, save_recording
+
+    dataset = ShardDataset(shards)
+    frames = np.flatnonzero(np.isin(dataset.scene_index, np.unique(dataset.scene_index)[:scenes])).tolist()
+    if recording is None:
+        open_viewer(dataset, frames)
+        return
+    save_recording(dataset, frames, recording)
+    click.echo(f"{recording} written; open it with: rerun {recording}")
 
 
 @click.command("verify")

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from evalkit.page import chart_figure, counted, data_uri, facts, page, tile
 from evalkit.shards import ShardDataset
+from simgen.bin import recorded_bin
 from simgen.preview import contact_sheet, spread_frames
 from simgen.scene_viewer import viewer_figure, viewer_script
 from simgen.survey import CLEAR, Survey, survey
@@ -72,7 +73,7 @@ def _scene(dataset: ShardDataset, frame: int) -> str:
     views = [dataset[int(number)] for number in np.flatnonzero(dataset.scene_index == scene)]
     words = f"""<p class="soft">{counted(len(views[0].instances), "instance")} as labelled, and what the
 {counted(len(views), "camera")} measured, in colours of the instances.</p>"""
-    viewer = viewer_figure(views, dataset.header.object, dataset.header.config.get("bin"))
+    viewer = viewer_figure(views, dataset.header.object, recorded_bin(dataset.header.config, int(scene)))
     return _section("scene", f"Scene {scene} in 3D", words + viewer)
 
 

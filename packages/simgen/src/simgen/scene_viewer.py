@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from evalkit import poses
 from evalkit.objects import ObjectModel
 from evalkit.scene import View
+from simgen.config import BinSize
 from simgen.preview import instance_colors
 
 MAX_FACES = 3000  # of the drawn mesh
@@ -26,12 +27,12 @@ def viewer_script() -> str:
     return files("simgen").joinpath("scene_viewer.js").read_text(encoding="utf-8")
 
 
-def viewer_figure(views: list[View], model: ObjectModel, bin_size: Any = None) -> str:
+def viewer_figure(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> str:
     """A canvas with its controls, as HTML.
 
     Args:
         views: of one scene; the instances are drawn where the first one's labels say, and the depth of all as points.
-        bin_size: the bin's inner {"width", "depth", "height"} in metres, where there is one.
+        bin_size: the scene's bin, where it is known.
     """
     document = json.dumps(scene_document(views, model, bin_size), separators=(",", ":")).replace("<", "\\u003c")
     cameras = "".join(f"<option value={number}>view {view.view_index}</option>" for number, view in enumerate(views))
@@ -48,7 +49,7 @@ start again.</figcaption>
 </figure>"""
 
 
-def scene_document(views: list[View], model: ObjectModel, bin_size: Any = None) -> dict[str, Any]:
+def scene_document(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> dict[str, Any]:
     """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in metres."""
     first = views[0]
     labels = first.instances
@@ -64,8 +65,12 @@ def scene_document(views: list[View], model: ObjectModel, bin_size: Any = None) 
         "point_colors": _packed(palette[np.minimum(numbers, len(palette) - 1)], "<f4"),
         "cam_from_world": _packed(np.stack([view.cam_from_world for view in views]), "<f4"),
         "camera": first.camera.to_json(),
-        "bin": bin_size,
+        "bin": None if bin_size is None else _sides(bin_size),
     }
+
+
+def _sides(size: BinSize) -> dict[str, float]:
+    return {"width": size.width, "depth": size.depth, "height": size.height if size.walls else 0.0}
 
 
 def drawn_mesh(model: ObjectModel) -> Mesh:
