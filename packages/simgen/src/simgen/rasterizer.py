@@ -234,21 +234,24 @@ def _fill(ax, ay, aw, bx, by, bw, dx, dy, dw, cull, box, out):  # type: ignore[n
     e_ab, e_bd, e_da = _edge(ax, ay, bx, by, u0, v0), _edge(bx, by, dx, dy, u0, v0), _edge(dx, dy, ax, ay, u0, v0)
     ab_u, bd_u, da_u = np.int64(ay - by) << BITS, np.int64(by - dy) << BITS, np.int64(dy - ay) << BITS
     ab_v, bd_v, da_v = np.int64(bx - ax) << BITS, np.int64(dx - bx) << BITS, np.int64(ax - dx) << BITS
+    wide = u1 - u0 >= WIDE
     for v in range(v0, v1 + 1):
-        first, last = u0, u1
-        if u1 - u0 >= WIDE:
-            first, last = _narrowed(first, last, u0, e_ab, ab_u)
+        line, i = constant + per_v * v, np.uint64(v - box[1])
+        if wide:
+            first, last = _narrowed(u0, u1, u0, e_ab, ab_u)
             first, last = _narrowed(first, last, u0, e_bd, bd_u)
             first, last = _narrowed(first, last, u0, e_da, da_u)
-        skip = first - u0
-        in_ab, in_bd, in_da = e_ab + skip * ab_u, e_bd + skip * bd_u, e_da + skip * da_u
-        line = constant + per_v * v
-        for u in range(first, last + 1):
-            if (in_ab | in_bd | in_da) >= 0:
-                value = np.float32(min(max(line + per_u * u, low), high))
-                if value > out[v - box[1], u - box[0]]:
-                    out[v - box[1], u - box[0]] = value
-            in_ab, in_bd, in_da = in_ab + ab_u, in_bd + bd_u, in_da + da_u
+            for u in range(first, last + 1):  # all are inside, so that the compiler does several at a time
+                k = np.uint64(u - box[0])
+                out[i, k] = max(out[i, k], np.float32(min(max(line + per_u * u, low), high)))
+        else:
+            in_ab, in_bd, in_da = e_ab, e_bd, e_da
+            for u in range(u0, u1 + 1):
+                if (in_ab | in_bd | in_da) >= 0:
+                    value, k = np.float32(min(max(line + per_u * u, low), high)), np.uint64(u - box[0])
+                    if value > out[i, k]:
+                        out[i, k] = value
+                in_ab, in_bd, in_da = in_ab + ab_u, in_bd + bd_u, in_da + da_u
         e_ab, e_bd, e_da = e_ab + ab_v, e_bd + bd_v, e_da + da_v
 
 
