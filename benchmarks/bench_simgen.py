@@ -1,0 +1,315 @@
+"""How fast simgen builds, stage by stage, beside others on the same frames, and how good its piles are.
+
+    python benchmarks/bench_simgen.py [--object bunny] [--faces 5000] [--scenes 8] [--views 17] [--peer-frames 3]
+
+Times are CPU times of one core, the least of `--repeats` measurements of each scene or frame, so that other work on the
+machine does not count. A worker process of its own does what a worker of `simgen build` does, and tells its memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from evalkit import poses
+from evalkit.errors import InputError
+from evalkit.objects import ObjectModel
+from evalkit.scene import Scene, View
+from evalkit.shards import ShardWriter
+from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
+from simgen.bin import bin_mesh
+from simgen.config import default
+from simgen.labels import label_instances, quantised
+from simgen.meshes import prepare_object
+from simgen.renderers import DepthRenderer, depth_renderer
+from simgen.scenes import Job, plan, simulate_scene
+from simgen.sensor import measure, sensor_generator
+from simgen.sensor_config import SensorConfig, stereo
+
+SCENES, VIEWS, CORES = 2000, 17, 2  # what is projected to: the paper's set
+COPIED_MB = 64
+NAMES = ("median", "p95", "p99", "max")
+Result = TypeVar("Result")
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Measured:
+    """What a worker measured.
+
+    Attributes:
+        seconds: of each stage, CPU time: of physics a scene, of the others a frame.
+        silhouettes: pixels of all silhouettes of a frame, on average.
+        stored: bytes of a frame in the shard.
+        peak_mb: of the process's memory, after the first scene and after all.
+    """
+
+    scenes: list[Scene] = field(default_factory=list)
+    attempts: list[int] = field(default_factory=list)
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+    visibility: list[float] = field(default_factory=list)
+    silhouettes: float = 0.0
+    stored: float = 0.0
+    peak_mb: list[float] = field(default_factory=list)
+
+    def timed(self, stage: str, repeats: int, work: Callable[..., Result], *arguments: Any) -> Result:
+        least = float("inf")
+        for _ in range(repeats):
+            started = time.process_time()
+            result = work(*arguments)
+            least = min(least, time.process_time() - started)
+        self.seconds.setdefault(stage, []).append(least)
+        return result
+
+    def mean(self, stage: str) -> float:
+        return float(np.mean(self.seconds[stage]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--object", default="bunny", help="as of simgen build (bunny)")
+    parser.add_argument("--faces", type=int, default=5000, help="to which the drawn mesh is remade (5,000)")
+    parser.add_argument("--scenes", type=int, default=8, help="(8)")
+    parser.add_argument("--views", type=int, default=VIEWS, help="frames a scene (17)")
+    parser.add_argument("--seed", type=int, default=77)
+    parser.add_argument("--repeats", type=int, default=2, help="of which the fastest counts (2)")
+    parser.add_argument("--peer-frames", type=int, default=3, help="drawn by the others as well (3; 0: none)")
+    options = parser.parse_args()
+    job = job_of(options.object, options.faces, options.scenes, options.views, options.seed)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
+        measured = executor.submit(measure_worker, job, options.repeats).result()
+    report_stages(job, measured)
+    report_limit(job, measured)
+    report_peers(job, measured, options.peer_frames)
+    report_piles(job, measured)
+
+
+def job_of(source: str, faces: int, scenes: int, views: int, seed: int) -> Job:
+    """The paper's set of that object, its drawn surface remade of about that many faces; it falls as it always does."""
+    prepared = prepare_object(source)
+    vertices, triangles = remade(prepared.model, faces)
+    model = replace(prepared.model, vertices=vertices, faces=triangles)
+    return plan(replace(default(), scenes=scenes, views=views, seed=seed), model, prepared.convex_parts)
+
+
+def remade(model: ObjectModel, faces: int) -> tuple[Array, NDArray[np.int32]]:
+    """The model's mesh, cut in quarters until it has enough faces, and simplified to `faces`."""
+    assert model.vertices is not None and model.faces is not None
+    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+    while len(mesh.faces) < faces:
+        mesh = mesh.subdivide()
+    if len(mesh.faces) > faces:
+        mesh = mesh.simplify_quadric_decimation(face_count=faces)
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)
+
+
+def measure_worker(job: Job, repeats: int) -> Measured:
+    """Build all scenes of the job as one shard, stage by stage."""
+    measured, renderer, sensor = Measured(), renderer_of(job), stereo()
+    renderer.render(np.eye(4)[None], np.eye(4))  # compiles
+    measure(np.ones((job.config.camera.height, job.config.camera.width), np.float32), *_sensor_of(job, sensor, 0, 0))
+    pixels: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "shard.h5"
+        writer = ShardWriter(path, job.header(), job.config.scenes * job.config.views)
+        with writer:
+            for number in range(job.config.scenes):
+                scene, attempts = measured.timed("physics", repeats, simulate_scene, job, number)
+                measured.scenes.append(scene)
+                measured.attempts.append(attempts)
+                renderer.set_background(*bin_mesh(job.scene_bin(number)))
+                for view in range(job.config.views):
+                    frame = measure_frame(job, measured, renderer, scene, view, repeats)
+                    pixels.append(float(frame.instances.pixels_full.sum()))
+                    measured.timed("write", 1, writer.append, frame)
+                    measured.timed("stereo sensor", 1, measure, frame.depth, *_sensor_of(job, sensor, number, view))
+                measured.peak_mb.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+            started = time.process_time()
+        measured.seconds["seal"] = [(time.process_time() - started) / writer.frames]
+        measured.stored = path.stat().st_size / writer.frames
+    measured.silhouettes = float(np.mean(pixels))
+    return measured
+
+
+def measure_frame(job: Job, measured: Measured, renderer: DepthRenderer, scene: Scene, view: int, repeats: int) -> View:
+    """What `SceneRenderer.views` does, taken apart."""
+    cam_from_world, camera = scene.cam_from_world[view], job.config.camera
+    cam_from_obj = cam_from_world @ scene.world_from_obj
+    rendering = measured.timed("raster", repeats, renderer.render, cam_from_obj, cam_from_world)
+    depth = measured.timed("quantise", repeats, quantised, rendering.depth, job.depth_unit)
+    labels = measured.timed("labels", repeats, label_instances, rendering, depth, cam_from_obj, job.model, camera)
+    measured.visibility.extend(labels.visibility.tolist())
+    return View(camera, depth, job.depth_unit, rendering.instance_id, cam_from_world, labels, scene.index, view)
+
+
+def renderer_of(job: Job, name: str = "cpu") -> DepthRenderer:
+    return depth_renderer(name, job.config.camera, mesh_of(job), bin_mesh(job.bin))
+
+
+def mesh_of(job: Job) -> tuple[Array, NDArray[np.int32]]:
+    assert job.model.vertices is not None and job.model.faces is not None
+    return job.model.vertices, job.model.faces
+
+
+def _sensor_of(job: Job, sensor: SensorConfig, scene: int, view: int) -> tuple[Any, SensorConfig, np.random.Generator]:
+    return job.config.camera, sensor, sensor_generator(job.config.seed, scene, view)
+
+
+def report_stages(job: Job, measured: Measured) -> None:
+    camera, views = job.config.camera, job.config.views
+    print(
+        f"{job.model.name}, {len(mesh_of(job)[1]):,} faces; {job.config.scenes} scenes x {views} views of "
+        f"{camera.width} x {camera.height}, {np.mean([len(s.world_from_obj) for s in measured.scenes]):.1f} instances"
+    )
+    stages = {
+        "physics": measured.mean("physics") / views,
+        "raster": measured.mean("raster"),
+        "labels": measured.mean("quantise") + measured.mean("labels"),
+        "write": measured.mean("write") + measured.mean("seal"),
+    }
+    whole = sum(stages.values())
+    for name, seconds in stages.items():
+        print(f"  {name:<28}{1e3 * seconds:8.2f} ms a frame {seconds / whole:5.0%}")
+    print(f"  {'in all':<28}{1e3 * whole:8.2f} ms a frame; {measured.stored / 1e3:.0f} kB, with checksums")
+    sensor = measured.mean("stereo sensor")
+    print(f"  {'--sensor stereo, on top':<28}{1e3 * sensor:8.2f} ms a frame")
+    print(
+        f"physics: {1e3 * measured.mean('physics'):.0f} ms a scene, {np.mean(measured.attempts):.2f} drops each, "
+        f"from {1e3 * min(measured.seconds['physics']):.0f} to {1e3 * max(measured.seconds['physics']):.0f} ms"
+    )
+    for name, frame in (("ideal", whole), ("stereo", whole + sensor)):
+        minutes = SCENES * (measured.mean("physics") + VIEWS * (frame - stages["physics"])) / CORES / 60
+        print(
+            f"{SCENES:,} scenes x {VIEWS} views on {CORES} cores of one's own, {name}: {minutes:.1f} minutes, "
+            f"{SCENES * VIEWS / minutes / 60:.0f} frames/s"
+        )
+    peak = measured.peak_mb
+    print(
+        f"memory of a worker: {peak[0]:.0f} MB at most after the first scene, {peak[-1]:.0f} MB after all {len(peak)}"
+    )
+
+
+def report_limit(job: Job, measured: Measured) -> None:
+    """The share of what memory alone would allow, were every byte that a frame needs touched once."""
+    vertices, faces = mesh_of(job)
+    pixels = job.config.camera.width * job.config.camera.height
+    instances = float(np.mean([len(scene.world_from_obj) for scene in measured.scenes]))
+    touched = {
+        "the mesh, read for every instance": instances * (vertices.nbytes + faces.nbytes),
+        "silhouettes, written and read": 8 * measured.silhouettes,
+        "depth and ids, written and read": 2 * pixels * (4 + 2 + 2),
+        "what is stored, written and hashed": 2 * measured.stored,
+    }
+    bandwidth, total = copy_bandwidth(), sum(touched.values())
+    spent = sum(measured.mean(stage) for stage in ("raster", "quantise", "labels", "write", "seal"))
+    parts = ", ".join(f"{name} {size / 1e6:.1f}" for name, size in touched.items())
+    print(f"limit of raster, labels and write: {total / 1e6:.1f} MB a frame ({parts})")
+    print(
+        f"  at {bandwidth / 1e9:.1f} GB/s, this core's copying: {1e3 * total / bandwidth:.2f} ms; "
+        f"{total / bandwidth / spent:.0%} of it reached; raster takes "
+        f"{1e9 * measured.mean('raster') / measured.silhouettes:.0f} ns a silhouette's pixel"
+    )
+
+
+def copy_bandwidth() -> float:
+    """Bytes a second that one core reads and writes when it copies what no cache holds."""
+    source, target = np.ones(COPIED_MB << 20, np.uint8), np.ones(COPIED_MB << 20, np.uint8)
+    return 2 * source.nbytes / least_seconds(lambda: np.copyto(target, source), 5)
+
+
+def least_seconds(work: Callable[[], Any], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        times.append(time.process_time() - started)
+    return min(times)
+
+
+def report_peers(job: Job, measured: Measured, frames: int) -> None:
+    """Others draw the same frames with every instance's silhouette; CPU time, all threads together."""
+    if frames == 0:
+        return
+    scene = measured.scenes[0]
+    cameras = scene.cam_from_world[:frames]
+    ours = renderer_of(job)
+    ours.set_background(*bin_mesh(job.scene_bin(scene.index)))
+    mine = least_seconds(lambda: [ours.render(c @ scene.world_from_obj, c) for c in cameras], 3) / len(cameras)
+    print(f"{len(cameras)} frames of {len(scene.world_from_obj)} instances with every whole silhouette, drawing alone")
+    print(f"  {'simgen':<12}{1e3 * mine:8.1f} ms a frame")
+    for name, start in (("embreex", start_embreex), ("pyrender", start_pyrender)):
+        try:
+            draw = start(job, scene)
+        except (ImportError, InputError) as error:
+            print(f"  {name:<12} left out: {error}")
+            continue
+        draw(cameras[0])
+        theirs = least_seconds(lambda draw=draw: [draw(c) for c in cameras], 1) / len(cameras)  # type: ignore[misc]
+        print(f"  {name:<12}{1e3 * theirs:8.1f} ms a frame, {theirs / mine:.0f} times ours")
+
+
+def start_pyrender(job: Job, scene: Scene) -> Callable[[Array], object]:
+    """pyrender's loop, as `simgen build --renderer pyrender` has it."""
+    renderer = renderer_of(job, "pyrender")
+    renderer.set_background(*bin_mesh(job.scene_bin(scene.index)))
+    return lambda cam_from_world: renderer.render(cam_from_world @ scene.world_from_obj, cam_from_world)
+
+
+def start_embreex(job: Job, scene: Scene) -> Callable[[Array], object]:
+    """A ray through every pixel's middle: at the whole scene, and at each instance alone for its silhouette."""
+    from embreex import rtcore_scene
+    from embreex.mesh_construction import TriangleMesh
+
+    vertices, faces = mesh_of(job)
+    placed = [(poses.apply(pose, vertices), faces) for pose in scene.world_from_obj]
+    everything = [*placed, bin_mesh(job.scene_bin(scene.index))]
+    worlds = []
+    for group in (everything, *([one] for one in placed)):
+        world = rtcore_scene.EmbreeScene()
+        for points, triangles in group:
+            TriangleMesh(world, points[triangles].astype(np.float32))
+        worlds.append(world)
+    camera = job.config.camera
+    rays = camera.point_map(np.ones((camera.height, camera.width))).reshape(-1, 3)
+
+    def draw(cam_from_world: Array) -> list[Any]:
+        world_from_cam = poses.invert(cam_from_world)
+        origins = np.broadcast_to(world_from_cam[:3, 3], rays.shape).astype(np.float32)
+        directions = (rays @ world_from_cam[:3, :3].T).astype(np.float32)
+        return [world.run(origins, directions, output=True) for world in worlds]
+
+    return draw
+
+
+def report_piles(job: Job, measured: Measured) -> None:
+    hulls = hulls_of(job)
+    piles = [scene.world_from_obj for scene in measured.scenes]
+    depth = 1e3 * np.concatenate([penetrations(hulls, pile) for pile in piles])
+    floor = 1e3 * np.concatenate([below_floor(hulls, pile) for pile in piles])
+    moved = 1e3 * np.concatenate([
+        motion_afterwards(job, scene.index, scene.world_from_obj, job.config.physics) for scene in measured.scenes
+    ])  # fmt: skip
+    print(f"piles of a {1e3 * job.model.diameter:.0f} mm object, mm")
+    for name, values in (
+        ("in each other, close pairs", depth), ("in the floor", floor), ("motion in the next 2 s", moved),
+    ):  # fmt: skip
+        quantiles = np.percentile(values, [50, 95, 99, 100])
+        print(f"  {name:<28}" + "".join(f"{q:>6} {v:6.3f}" for q, v in zip(NAMES, quantiles, strict=True)))
+    deciles = " ".join(f"{v:.2f}" for v in np.percentile(measured.visibility, range(10, 100, 10)))
+    print(f"  visibility: mean {np.mean(measured.visibility):.2f}, deciles {deciles}")
+
+
+if __name__ == "__main__":
+    main()
