@@ -64,3 +64,15 @@ def test_moving_and_scaling_a_body_changes_no_distance(body: tuple[trimesh.Trime
     points = np.random.default_rng(0).uniform(-0.7, 0.7, (100, 3))
     assert moved.distance(points @ rotation.T) == pytest.approx(surface.distance(points), abs=1e-6)
     assert moved.radius == pytest.approx(surface.radius * 1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.01])
+@pytest.mark.parametrize("name", ["box", "ball", "thin wall"])
+def test_roughness_is_the_noise_and_not_the_shape(name: str, noise: float) -> None:
+    mesh = trimesh.creation.box((2.0, 2.0, 0.05)) if name == "thin wall" else BODIES[name].copy()
+    while len(mesh.faces) < 6000:
+        mesh = mesh.subdivide()
+    radius = np.linalg.norm(mesh.vertices, axis=1).max()
+    rough = mesh.vertices + np.random.default_rng(2).normal(0, noise * radius, mesh.vertices.shape)
+    roughness = Surface.from_mesh(rough, mesh.faces).roughness
+    assert 0.2 * noise <= roughness <= noise + 4e-4

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
+from evalkit import poses
 from evalkit.symmetry import Symmetry
 from evalkit.symmetry_detection import detect_symmetry, resolve_symmetry
 from simgen.builtin_objects import BUILTIN_OBJECTS
@@ -53,3 +55,61 @@ def test_making_an_object_twice_gives_the_same_mesh() -> None:
     for builtin in BUILTIN_OBJECTS.values():
         for first, second in zip(builtin.make(), builtin.make(), strict=True):
             assert np.array_equal(first, second)
+
+
+# ---- symmetry is found however the object is placed, tessellated and roughened ----
+
+
+def tessellated(mesh: trimesh.Trimesh, how: str) -> trimesh.Trimesh:
+    """The same surface of other triangles, or of rough ones: ``noise 0.5`` is a standard deviation in % of diameter.
+
+    Decimation is told to be faithful: by default it takes a tenth of the diameter off the candlestick's socket.
+    """
+    fine = mesh
+    while len(fine.faces) < 6000:
+        fine = fine.subdivide()
+    if how == "finely":
+        return fine
+    if how == "coarsely":
+        return fine.simplify_quadric_decimation(face_count=1500, aggression=1)
+    if how == "unevenly":
+        left = mesh.triangles_center[:, 0] < mesh.centroid[0]
+        parts = [mesh.submesh([np.flatnonzero(side)])[0] for side in (left, ~left)]
+        return trimesh.util.concatenate([parts[0].subdivide().subdivide(), parts[1]])
+    diameter = 2 * np.linalg.norm(mesh.vertices - mesh.centroid, axis=1).max()
+    noise = np.random.default_rng(1).normal(0, float(how.split()[1]) / 100 * diameter, fine.vertices.shape)
+    return trimesh.Trimesh(fine.vertices + noise, fine.faces, process=False)
+
+
+WAYS = ("finely", "coarsely", "unevenly", "noise 0.1", "noise 0.3", "noise 0.5")
+FAST = {("pepper", "noise 0.5"), ("brick", "noise 0.5"), ("cup", "coarsely"), ("gear", "unevenly"), ("bunny", "finely")}
+MATRIX = [
+    pytest.param(name, how, marks=[pytest.mark.slow] * ((name, how) not in FAST))
+    for name in BUILTIN_OBJECTS
+    for how in WAYS
+]
+
+
+@pytest.mark.parametrize(("name", "how"), MATRIX)
+def test_neither_tessellation_nor_noise_nor_placement_nor_unit_fools_detection(name: str, how: str) -> None:
+    builtin = BUILTIN_OBJECTS[name]
+    mesh = tessellated(trimesh.Trimesh(*builtin.make(), process=False), how)
+    rng = np.random.default_rng(len(name) + len(how))
+    rotation = poses.random_rotations(rng, 1)[0]
+    unit = float(rng.choice([1.0, 1e3]))
+    found = detect_symmetry((mesh.vertices @ rotation.T + rng.normal(size=3)) * unit, mesh.faces).symmetry
+    assert found.name == builtin.symmetry
+    if found.name.startswith(("revolution", "cyclic")):
+        assert abs(found.axis @ rotation[:, 2]) > np.cos(np.radians(1.0))
+
+
+@pytest.mark.parametrize("name", ["brick", pytest.param("cup", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("noise", ["noise 0.3", "noise 0.5"])
+def test_noise_does_not_hide_a_feature_of_three_per_cent(name: str, noise: str) -> None:
+    mesh = trimesh.Trimesh(*BUILTIN_OBJECTS[name].make(), process=False)
+    side = 0.06 * np.linalg.norm(mesh.extents)  # a cube half sunk into the top, aside of every axis
+    top = mesh.vertices[mesh.vertices[:, 2] > mesh.vertices[:, 2].max() - 1e-6]
+    at = np.array([*(top.max(0)[:2] * 0.95), top[0, 2]]) if name == "brick" else top[np.argmax(top[:, 0])]
+    boss = trimesh.creation.box([side] * 3).subdivide().subdivide().apply_translation(at)
+    rough = tessellated(trimesh.util.concatenate([mesh, boss]), noise)
+    assert detect_symmetry(rough.vertices, rough.faces).symmetry.name == "none"

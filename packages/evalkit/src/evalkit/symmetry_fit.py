@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 TYPICAL_TOLERANCE = 0.024  # of the lever: 99 of 100 turned points are nearer to the surface than this
 WORST_TOLERANCE = 0.036  # and all but a handful nearer than this: 1.8 % of a round object's diameter
+NOISE_LEVERS = 300.0  # lever that noise asks for, in roughnesses: a noise of 0.35 % of the diameter asks for one
+MOST_STRETCHED = 1.5  # what noise may stretch a tolerance by: a feature of 3 % of the diameter is no noise
 HANDFUL = 6  # samples that may deviate more: near-misses of the sampled surface
 DENSE = 24_000  # surface points of a final verification
 ROUGH_LIMIT = 0.12  # mean rough distance beyond which a direction is not worth refining
@@ -62,10 +64,14 @@ def verify(surface: Surface, symmetry: Symmetry, points: Array) -> SymmetryCandi
 
 
 def deviation(surface: Surface, symmetry: Symmetry, points: Array) -> tuple[Array, Array]:
-    """Distance (n,) to the surface of its points (n, 3), each turned by some element, and the same over the lever."""
+    """Distance (n,) to the surface of its points (n, 3), each turned by some element, and the same over the lever.
+
+    A rough surface is off itself even where it is symmetric: noise lengthens the lever, within limits.
+    """
     elements = spread_elements(symmetry, len(points))
     distance = surface.distance(turned(elements, points))
-    return distance, distance / _lever(symmetry, elements, surface.points)
+    lever = _lever(symmetry, elements, surface.points)
+    return distance, distance / np.clip(NOISE_LEVERS * surface.roughness, lever, MOST_STRETCHED * lever)
 
 
 def _lever(symmetry: Symmetry, elements: Array, points: Array) -> Array:
