@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -33,6 +34,16 @@ def debug_shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert done.returncode == 0, done.stderr
     return out
+
+
+@pytest.fixture(scope="session")
+def reference() -> Path:
+    """The folder of reference data; tests that need it are skipped where it is absent."""
+    beside = Path(__file__).parents[2] / "shared" / "reference"
+    folder = Path(os.environ.get("BINPOSE_REFERENCE", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no reference data at {folder}; set BINPOSE_REFERENCE")
+    return folder
 
 
 @pytest.fixture

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,13 +104,3 @@ def make_crowd() -> Callable[..., tuple[Predictions, GroundTruth]]:
 @pytest.fixture
 def make_equivalent() -> Callable[..., np.ndarray]:
     return equivalent_poses
-
-
-@pytest.fixture(scope="session")
-def reference() -> Path:
-    """The folder of reference data; tests that need it are skipped where it is absent."""
-    beside = Path(__file__).parents[3] / "shared" / "reference"
-    folder = Path(os.environ.get("BINPOSE_REFERENCE", beside))
-    if not folder.is_dir():
-        pytest.skip(f"no reference data at {folder}; set BINPOSE_REFERENCE")
-    return folder

@@ -76,19 +76,42 @@ def simulate_command(
 @shard_options
 @workers_option
 def render_command(scenes: Path, output: Path, workers: int, **options: Any) -> None:
-    """Render SCENES, a file of `simgen simulate`, and write labelled depth images as shards.
+    """Render SCENES and write labelled depth images as shards. Needs no PyBullet.
 
-    Without options the shards are, byte for byte, those of `simgen build`; options put others in place of what
-    `simgen simulate` was given. Needs no PyBullet.
+    SCENES is a file of `simgen simulate`: without options the shards are, byte for byte, those of `simgen build`;
+    options put others in place of what `simgen simulate` was given.
+
+    Or a folder as the Siléane dataset has them, with gt/, camera_params.txt, poseutils.json and mesh.obj: the scenes
+    in gt/ as that camera sees them, on the ground and without walls, in the order of their names.
     """
+    job = _rendered_layouts(scenes, options) if scenes.is_dir() else _rendered_scenes(scenes, options)
+    _require_renderer(job.config)
+    _write_shards(job, output, workers)
+
+
+def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
     from simgen.scene_file import job_of_scenes
     from simgen.scenes import plan
 
-    job = job_of_scenes(scenes)
+    job = job_of_scenes(path)
     job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded)
-    _require_renderer(job.config)
     _tell(job)
-    _write_shards(job, output, workers)
+    return job
+
+
+def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
+    from simgen.layouts import job_of_layouts, nearest_and_farthest, with_options
+
+    job = job_of_layouts(folder)
+    config = configured(job.config, **options)
+    job = with_options(job, config)
+    click.echo(
+        f"{folder}: {config.scenes} scenes of {config.instances_min} to {config.instances_max} instances of "
+        f"'{job.model.name}', {config.camera.width} x {config.camera.height} pixels, depth unit {job.depth_unit:g} m."
+    )
+    if config.sensor is not None:
+        click.echo(config.sensor.describe(config.camera, *nearest_and_farthest(job)))
+    return job
 
 
 def _planned(config: BuildConfig, source: str, units: str, scale: float, symmetry: str) -> Job:

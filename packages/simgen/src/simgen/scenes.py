@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -219,9 +219,9 @@ def _mesh_of(model: ObjectModel) -> Part:
     return model.vertices, model.faces
 
 
-def fingerprint(meshes: list[Part]) -> str:
-    """SHA-256 of the geometry that is drawn and of the hulls that fall."""
+def fingerprint(geometry: Iterable[Iterable[NDArray[Any]]]) -> str:
+    """SHA-256 of the arrays: the mesh that is drawn, then the hulls that fall, or the poses where none do."""
     digest = hashlib.sha256()
-    for array in (array for mesh in meshes for array in mesh):
+    for array in (array for part in geometry for array in part):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
