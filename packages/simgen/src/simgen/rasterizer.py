@@ -247,10 +247,9 @@ def _fill(ax, ay, aw, bx, by, bw, dx, dy, dw, cull, box, out):  # type: ignore[n
         else:
             in_ab, in_bd, in_da = e_ab, e_bd, e_da
             for u in range(u0, u1 + 1):
-                if (in_ab | in_bd | in_da) >= 0:
-                    value, k = np.float32(min(max(line + per_u * u, low), high)), np.uint64(u - box[0])
-                    if value > out[i, k]:
-                        out[i, k] = value
+                value, k = np.float32(min(max(line + per_u * u, low), high)), np.uint64(u - box[0])
+                before = out[i, k]  # no branches: which of the few pixels are inside nobody foretells
+                out[i, k] = value if ((in_ab | in_bd | in_da) >= 0) & (value > before) else before
                 in_ab, in_bd, in_da = in_ab + ab_u, in_bd + bd_u, in_da + da_u
         e_ab, e_bd, e_da = e_ab + ab_v, e_bd + bd_v, e_da + da_v
 
