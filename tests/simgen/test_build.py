@@ -294,20 +294,20 @@ def test_a_disk_that_takes_no_more_is_reported_in_one_sentence(tmp_path: Path) -
 
 # ---- interruptions ----
 
+TWENTY = replace(SMALL, scenes=40)  # shards
 COMMAND = """
 import sys
 sys.path.insert(0, {here!r})
 import test_build as t
-from dataclasses import replace
 from pathlib import Path
 if __name__ == "__main__":
-    t.build(t.job_of(replace(t.SMALL, scenes=40)), Path({folder!r}), workers=2)
+    t.build(t.job_of(t.TWENTY), Path({folder!r}), workers=2)
 """
 
 
 @contextlib.contextmanager
-def building(folder: Path, script: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A build of twenty shards in a process of its own, yielded when two of them are done."""
+def building(folder: Path, script: Path, shards: int = 2) -> Iterator[subprocess.Popen[bytes]]:
+    """A build of twenty shards in a process of its own, yielded when `shards` of them are done."""
     script.write_text(COMMAND.format(here=str(Path(__file__).parent), folder=str(folder)))
     # A runner in a shell's background ignores Ctrl-C, and so would all that it starts.
     process = subprocess.Popen(
@@ -318,7 +318,7 @@ def building(folder: Path, script: Path) -> Iterator[subprocess.Popen[bytes]]:
     )
     try:
         deadline = time.monotonic() + 120
-        while len(list(folder.glob("shard-*.h5"))) < 2:
+        while not folder.exists() or len(list(folder.glob("shard-*.h5"))) < shards:
             assert process.poll() is None and time.monotonic() < deadline
             time.sleep(0.02)
         yield process
@@ -371,6 +371,39 @@ def test_ctrl_c_stops_at_once_and_leaves_a_folder_to_go_on_with(tmp_path: Path) 
         assert time.monotonic() - start < 5
     assert not list(folder.glob(".*.tmp"))
     assert all(checksum_problem(path) is None for path in folder.glob("shard-*.h5"))
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("uninterrupted") / "shards"
+    build(job_of(TWENTY), folder, workers=2)
+    return digests(folder)
+
+
+def kill_at_a_random_moment(folder: Path, script: Path, victim: str, seed: int) -> None:
+    """Start the build of `COMMAND` and kill -9 it, or one of its workers, somewhere between its start and its end."""
+    rng = np.random.default_rng(seed)
+    shards = int(rng.integers(0, 18))
+    with building(folder, script, shards) as process:
+        time.sleep(float(rng.uniform(0.0, 0.5)))
+        workers = children_of(process.pid)
+        with contextlib.suppress(ProcessLookupError):  # a worker may just have ended by itself
+            os.kill(process.pid if victim == "parent" else int(rng.choice(workers or [process.pid])), signal.SIGKILL)
+        process.wait(timeout=300)
+
+
+MOMENTS = [pytest.param(seed, marks=[pytest.mark.slow] * (seed > 0)) for seed in range(10)]
+
+
+@pytest.mark.parametrize("victim", ["parent", "worker"])
+@pytest.mark.parametrize("seed", MOMENTS)
+def test_killed_at_any_moment_the_finished_dataset_has_the_bytes_of_an_uninterrupted_one(
+    tmp_path: Path, uninterrupted: dict[str, str], victim: str, seed: int
+) -> None:
+    folder = tmp_path / "cut"
+    kill_at_a_random_moment(folder, tmp_path / "script.py", victim, seed)
+    build(job_of(TWENTY), folder, workers=1)  # at once, while orphans may still be on their way out
+    assert digests(folder) == uninterrupted
 
 
 def test_two_builds_do_not_share_a_folder(tmp_path: Path) -> None:

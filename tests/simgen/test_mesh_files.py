@@ -66,6 +66,10 @@ def broken_files(folder: Path) -> dict[str, Path]:
     WEDGE.export(folder / "whole.glb")
     (folder / "truncated.glb").write_bytes((folder / "whole.glb").read_bytes()[:-100])
     (folder / "empty.ply").write_bytes(b"")
+    (folder / "empty.glb").write_bytes(b"")
+    (folder / "prose.off").write_text("This is not a mesh.\n")
+    (folder / "prose.gltf").write_text('{"asset": 5}')
+    (folder / "claims.stl").write_bytes(b"\0" * 80 + (4_000_000_000).to_bytes(4, "little") + b"\0" * 500)
     (folder / "prose.ply").write_text("This is not a mesh.\n")
     (folder / "prose.stl").write_text("solid nothing\nendsolid nothing\n")
     (folder / "prose.obj").write_text("# nothing here\n")
@@ -89,6 +93,9 @@ def test_what_is_no_mesh_gets_one_sentence_that_names_it(
         sentence = str(error.value)
         assert name in sentence, sentence
         assert sentence.endswith(".") and "\n" not in sentence and "Traceback" not in sentence, sentence
+        assert not any(words in sentence for words in ("module named", "attribute", "out of bounds", "unpack")), (
+            sentence
+        )
     assert not caplog.records
     assert "".join(capfd.readouterr()) == ""
 

@@ -29,6 +29,8 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     extension = path.suffix.lower().lstrip(".")
     if extension not in FORMATS:
         raise InputError(f"{path}: '{path.suffix}' is not a mesh format read here; convert it to PLY, STL or OBJ.")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: is empty; export the mesh again.")
     vertices, faces = _load(path)
     if len(faces) == 0:
         raise InputError(f"{path}: holds no triangles; export it as a triangle mesh, not as points or curves.")
@@ -50,9 +52,9 @@ def _load(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     except Exception as error:  # a parser fed with arbitrary bytes raises anything
         if isinstance(error, OSError) and error.filename == str(path):
             raise
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        kind = path.suffix.lower().lstrip(".").upper()  # and the parser's own words mean nothing to its user
         raise InputError(
-            f"{path}: cannot be read as a {path.suffix.lower().lstrip('.').upper()} mesh ({reason}); export it again."
+            f"{path}: cannot be read as {kind}, so it is truncated, damaged or of another kind; export it again."
         ) from None
 
 
