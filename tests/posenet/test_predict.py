@@ -10,12 +10,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from evalkit.camera import Camera
 from evalkit.documents import read_predictions
 from evalkit.errors import InputError
 from evalkit.shards import ShardDataset
+from posenet.cli import main
+from posenet.config import preset
 from posenet.images import read_depth
+from posenet.model_file import save_model
+from posenet.network import PoseNetwork
 from posenet.predict import Predictor
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -182,3 +187,21 @@ def test_an_unknown_camera_field_is_named(tmp_path: Path) -> None:
     path.write_text(json.dumps({"width": 10, "height": 10, "fx": 1.0, "fy": 1.0, "cx": 1.0}))
     with pytest.raises(InputError, match="'cy'"):
         Camera.load(path)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
+    debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = ShardDataset(debug_shards).header
+    save_model(tmp_path / "model.pt", PoseNetwork(preset("debug"), header.object, (0.3, 0.6), header.camera), {})
+
+    def never(*_: object) -> None:
+        raise AssertionError("predicted all the same")
+
+    monkeypatch.setattr(Predictor, "predict_batch", never)
+    file = tmp_path / "file"
+    file.write_text("not a folder")
+    for words in (["-o", file / "preds.json"], ["-o", tmp_path / "preds.json", "--picture", file / "a.png"]):
+        done = CliRunner().invoke(main, ["predict", str(tmp_path / "model.pt"), str(debug_shards), *map(str, words)])
+        assert done.exit_code == 2, done.output
+        assert str(file) in done.output and "Traceback" not in done.output

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,9 +32,16 @@ def predict(
     refine: bool = False,
     ablation: Ablation | None = None,
 ) -> str:
-    """Predict on the images at `path`, write `out` and, if asked for, a picture of the first; returns a summary."""
+    """Predict on the images at `path`, write `out` and, if asked for, a picture of the first; returns a summary.
+
+    Raises:
+        InputError: the model, the images or the device cannot be used.
+        OSError: a folder cannot be written; said before the work, not after it.
+    """
     source = open_source(path, camera_file, depth_unit)
     predictor = Predictor.load(model, device, refine, ablation)
+    for file in [out] + ([picture] if picture is not None else []):
+        _require_writable(file.parent)
     numbers = source.spread(max_images)
     found = list(tqdm(_over(predictor, source, numbers), total=len(numbers), desc="predict", unit=" images"))
     write_predictions(out, to_document(predictor.model, iter(found)))
@@ -49,6 +57,14 @@ def _over(predictor: Predictor, source: DepthSource, numbers: list[int]) -> Iter
         names = [source.names[number] for number in some]
         depths = [source.read(number) for number in some]
         yield from zip(names, predictor.predict_batch(depths, source.camera, names), strict=True)
+
+
+def _require_writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
 def _summary(out: Path, found: Found) -> str:
