@@ -97,11 +97,11 @@ def main() -> None:
 
 
 def job_of(source: str, faces: int, scenes: int, views: int, seed: int) -> Job:
-    """The paper's set of that object, its drawn surface remade of about that many faces; it falls as it always does."""
+    """The paper's set of that object: the same piles, drawn with about that many faces."""
     prepared = prepare_object(source)
+    job = plan(replace(default(), scenes=scenes, views=views, seed=seed), prepared.model, prepared.convex_parts)
     vertices, triangles = remade(prepared.model, faces)
-    model = replace(prepared.model, vertices=vertices, faces=triangles)
-    return plan(replace(default(), scenes=scenes, views=views, seed=seed), model, prepared.convex_parts)
+    return replace(job, model=replace(prepared.model, vertices=vertices, faces=triangles))
 
 
 def remade(model: ObjectModel, faces: int) -> tuple[Array, NDArray[np.int32]]:
