@@ -3,7 +3,7 @@
     python benchmarks/bench_posenet.py [--preset all] [--steps 12] [--refine-poses 100]
 
 Data are simulated bunnies of the resolution that each preset is made for: 320 x 240 (`simgen build --preset demo`), and
-640 x 480 for `paper` (`--preset paper`), whose steps take seconds on a CPU, so that it takes fewer. Times are medians
+640 x 480 for `paper` (`--preset default`), whose steps take seconds on a CPU, so that it takes fewer. Times are medians
 over steps after a warm-up of two, by the wall clock, and beside them the CPU's (of all threads together): on a machine
 that does other work the first says little. `--json FILE` keeps the figures.
 """
@@ -34,7 +34,7 @@ from posenet.refine import Refiner
 from posenet.targets import Batch
 
 WARM_UP = 2
-SIMGEN_PRESET = {"paper": "paper", "small": "demo", "debug": "demo"}
+SIMGEN_PRESET = {"paper": "default", "small": "demo", "debug": "demo"}
 MOST_PAPER_STEPS = 3
 STAGES = ("load", "forward", "scoring", "backward", "optimiser")
 
