@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,6 +137,43 @@ def test_another_dataset_is_refused(copy: Path, other: Job, what: str) -> None:
     with pytest.raises(InputError, match=what):
         build(other, copy, workers=1)
     assert times(copy) == before
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda text: text.replace('"seed": 0', '"seed": 7'),
+        lambda text: text.replace('"views": 2', '"views": NaN'),
+        lambda text: text.replace('"scenes": 5', '"scenes": ' + "9" * 5000),
+        lambda text: text.replace('"fx": ', '"fx": 1'),
+        lambda text: text.replace("shard-00001.h5", "../shard-00001.h5"),
+        lambda text: text.replace("binpose-dataset/1", "binpose-dataset/9"),
+        lambda text: "[" * 100_000,
+        lambda text: "[]",
+    ],
+    ids=["seed", "NaN", "5000 digits", "camera", "shard elsewhere", "schema", "deep", "list"],
+)
+def test_an_edited_dataset_file_is_refused_in_one_sentence(copy: Path, edit: Callable[[str], str]) -> None:
+    path = copy / "dataset.json"
+    edited = edit(path.read_text())
+    assert edited != path.read_text()
+    path.write_text(edited)
+    before = digests(copy)
+    with pytest.raises(InputError, match=r"holds another dataset|move the folder away") as error:
+        build(job_of(), copy, workers=1)
+    assert "\n" not in str(error.value) and str(copy) in str(error.value)
+    assert digests(copy) == before
+
+
+def test_a_shard_under_anothers_name_and_a_link_elsewhere_are_replaced(copy: Path, built: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "mine.h5"
+    elsewhere.write_bytes(b"mine")
+    (copy / shard_name(0)).unlink()
+    (copy / shard_name(0)).symlink_to(elsewhere)
+    (copy / shard_name(2)).write_bytes((copy / shard_name(1)).read_bytes())
+    assert build(job_of(), copy, workers=1).damaged == [shard_name(0), shard_name(2)]
+    assert digests(copy) == digests(built)
+    assert elsewhere.read_bytes() == b"mine" and not (copy / shard_name(0)).is_symlink()
 
 
 def test_shards_of_unknown_origin_are_not_mixed_in(copy: Path) -> None:

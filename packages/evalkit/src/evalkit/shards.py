@@ -365,7 +365,7 @@ def read_dataset_file(folder: Path | str) -> dict[str, Any]:
         known = document["format"] == DATASET_SCHEMA and all(isinstance(s["name"], str) for s in document["shards"])
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; build the folder with 'simgen build'.") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):  # not UTF-8, not JSON, a number of 5000 digits …
         known = False
     if not known:
         raise InputError(f"{path}: not a {DATASET_SCHEMA} file; move the folder away and build it again.")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.scene import Scene
@@ -107,9 +108,17 @@ def _claim(folder: Path, job: Job) -> None:
         InputError: the folder belongs to another dataset, or to an unknown one.
     """
     header = job.header()
+    shards = [
+        {"name": shard_name(shard), "scenes": [numbers.start, numbers.stop]}
+        for shard in range(job.config.shards)
+        for numbers in [job.config.scenes_of_shard(shard)]
+    ]
     if (folder / DATASET_FILE).exists():
         document = read_dataset_file(folder)
         difference = first_difference(identity(document.get("config"), document.get("object")), own_identity(job))
+        rest = {"camera": header.camera.to_json(), "depth_unit": header.depth_unit, "seed": header.seed}
+        rest |= {"shards": shards}
+        difference = difference or first_difference({name: document.get(name) for name in rest}, rest)
         if difference is not None:
             raise InputError(
                 f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
@@ -118,11 +127,6 @@ def _claim(folder: Path, job: Job) -> None:
         return
     if any(folder.glob("shard-*.h5")):
         raise InputError(f"{folder}: holds shards but no {DATASET_FILE}; choose another folder with -o.")
-    shards = [
-        {"name": shard_name(shard), "scenes": [numbers.start, numbers.stop]}
-        for shard in range(job.config.shards)
-        for numbers in [job.config.scenes_of_shard(shard)]
-    ]
     write_dataset_file(folder, header, shards)
 
 
@@ -130,7 +134,8 @@ def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
     missing, own = [], own_identity(job)
     for shard in range(job.config.shards):
         path = folder / shard_name(shard)
-        if path.exists() and _is_intact(path, own):
+        scenes = np.repeat(job.config.scenes_of_shard(shard), job.config.views)
+        if path.exists() and _is_intact(path, own, scenes):
             report.kept += 1
             continue
         missing.append(shard)
@@ -139,12 +144,14 @@ def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
     return missing
 
 
-def _is_intact(path: Path, own: dict[str, Any]) -> bool:
+def _is_intact(path: Path, own: dict[str, Any], scenes: NDArray[np.int64]) -> bool:
+    """Whether a shard is whole, of this build, and holds these scenes, frame by frame (F,)."""
     if checksum_problem(path) is not None:
         return False
     try:
         with ShardReader(path) as reader:
-            return identity(reader.header.config, reader.header.object.to_json()) == own
+            ours = identity(reader.header.config, reader.header.object.to_json()) == own
+            return ours and np.array_equal(reader.scene_index, scenes)
     except InputError:
         return False
 
