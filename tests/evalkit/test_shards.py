@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
 import pickle
+import shutil
+import subprocess
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -296,3 +300,47 @@ def test_the_dataset_file_names_what_the_shards_hold(folder: Path) -> None:
     assert (document["seed"], document["config"]) == (7, {"scenes": 2})
     assert Camera.from_json(document["camera"]) == CAMERA
     assert ObjectModel.from_json(document["object"]).name == "tetra"
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 200 KB, where this user may mount one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("mounting is not allowed here")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=False)
+
+
+def fill(path: Path, frames: int) -> None:
+    with ShardWriter(path, HEADER, frames) as writer:
+        for frame in range(frames):
+            writer.append(random_view(0, frame))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # h5py tells of each lost buffer
+def test_a_full_disk_is_an_os_error_that_names_the_shard_and_leaves_no_file(small_disk: Path) -> None:
+    fill(small_disk / shard_name(0), 3)
+    for frames in (100, 300, 1000):  # full at the labels, among the frames, early
+        with pytest.raises(OSError) as error:
+            fill(small_disk / shard_name(1), frames)
+        assert error.value.errno == errno.ENOSPC and error.value.filename == str(small_disk / shard_name(1))
+        assert [path.name for path in small_disk.iterdir()] == [shard_name(0)]
+
+
+def test_hdf5s_runtime_error_about_a_full_disk_is_told_as_an_os_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("Disable slist on flush dest failure failed (file write failed: errno = 28, error message)")
+
+    monkeypatch.setattr(ShardWriter, "_write_labels", fail)
+    with pytest.raises(OSError, match="No space left") as error:
+        fill(tmp_path / shard_name(0), 2)
+    assert error.value.errno == errno.ENOSPC and not list(tmp_path.iterdir())
+    with pytest.raises(RuntimeError, match="of another kind"), ShardWriter(tmp_path / shard_name(0), HEADER, 2):
+        raise RuntimeError("of another kind")

@@ -19,6 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -125,8 +126,10 @@ class ShardWriter:
                 seal(self._temporary, SCHEMA)
         except BaseException as failure:
             self._atomic.__exit__(type(failure), failure, failure.__traceback__)
+            _raise_as_os_error(failure, self.path)
             raise
         self._atomic.__exit__(kind, error, trace)
+        _raise_as_os_error(error, self.path)
 
     def _prepare_frames(self) -> None:
         head, file = self.header, self._file
@@ -507,3 +510,10 @@ def _require_same(first: ShardReader, other: ShardReader) -> None:
         raise InputError(
             f"{other.path}: its object, camera or depth unit differs from {first.path}'s; use shards of one build."
         )
+
+
+def _raise_as_os_error(failure: BaseException | None, path: Path) -> None:
+    """On a full disk HDF5 may raise a RuntimeError; raise the OSError that it is. Anything else is left alone."""
+    match = re.search(r"errno = (\d+)", str(failure)) if isinstance(failure, RuntimeError) else None
+    if match is not None:
+        raise OSError(int(match[1]), os.strerror(int(match[1])), str(path)) from failure
