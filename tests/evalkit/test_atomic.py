@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -32,6 +33,28 @@ def test_a_failure_leaves_the_old_file_and_no_other(tmp_path: Path, failure: typ
         temporary.write_text("half of the n")
         raise failure
     assert (tmp_path / "file").read_text() == "old"
+    assert names(tmp_path) == {"file"}
+
+
+def test_of_several_who_write_a_new_file_the_first_wins(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "file", new=True) as temporary:
+        temporary.write_text("first")
+    with pytest.raises(FileExistsError) as error, atomic_path(tmp_path / "file", new=True) as temporary:
+        temporary.write_text("second")
+    assert error.value.filename == str(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "first"
+    assert names(tmp_path) == {"file"}
+
+
+def test_a_new_file_needs_no_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    write_text(tmp_path / "file", "first", new=True)
+    with pytest.raises(OSError):
+        write_text(tmp_path / "file", "second", new=True)
+    assert (tmp_path / "file").read_text() == "first"
     assert names(tmp_path) == {"file"}
 
 

@@ -8,6 +8,7 @@ import multiprocessing
 import pickle
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -78,6 +79,25 @@ def test_noise_in_the_low_byte_does_not_keep_depth_from_being_compressed(tmp_pat
     write_shard(tmp_path / "one.h5", [view], replace(HEADER, camera=camera), compression)
     with h5py.File(tmp_path / "one.h5") as file:
         assert file["depth"].id.get_storage_size() < 0.51 * noisy.nbytes
+
+
+def test_bytes_do_not_depend_on_when_python_lets_go_of_objects(tmp_path: Path) -> None:
+    """A profiler, as in every worker of Dask, holds frames and thereby HDF5's handles for a while."""
+    write_shard(tmp_path / "plain.h5", VIEWS)
+    held: list[object] = []
+    for every in (1, 7, 31):
+        count = iter(range(10**9))
+
+        def hold(frame: object, *_: object, every: int = every, count: Iterator[int] = count) -> None:
+            if next(count) % every == 0:
+                held.append(frame)
+
+        sys.setprofile(hold)
+        try:
+            write_shard(tmp_path / "watched.h5", VIEWS)
+        finally:
+            sys.setprofile(None)
+        assert (tmp_path / "watched.h5").read_bytes() == (tmp_path / "plain.h5").read_bytes()
 
 
 @pytest.fixture

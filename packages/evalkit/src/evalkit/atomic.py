@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -13,10 +14,13 @@ from typing import Any
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path | str) -> Iterator[Path]:
+def atomic_path(path: Path | str, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it into place on success, remove it on any failure.
 
+    A `new` file does not replace one that is there: of several writers at once the first wins.
+
     Raises:
+        FileExistsError: the file was to be `new`, and is there already.
         OSError: the folder cannot be made or written; `filename` names `path`, not the temporary.
     """
     path = Path(path)
@@ -32,7 +36,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
         os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
+        _link(temporary, path) if new else os.replace(temporary, path)
     except OSError as error:
         if error.filename in (None, str(temporary)):
             raise OSError(error.errno, error.strerror, str(path)) from error
@@ -41,15 +45,25 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_text(path: Path | str, text: str) -> None:
-    """Write `text` atomically as UTF-8."""
-    with atomic_path(path) as temporary:
+def _link(temporary: Path, path: Path) -> None:
+    """Give the file its second name, unless that is taken."""
+    try:
+        os.link(temporary, path)
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS) or path.exists():
+            raise
+        os.replace(temporary, path)  # a file system without hard links
+
+
+def write_text(path: Path | str, text: str, new: bool = False) -> None:
+    """Write `text` atomically as UTF-8; `new` as in :func:`atomic_path`."""
+    with atomic_path(path, new) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path | str, document: Any, indent: int | None = None) -> None:
+def write_json(path: Path | str, document: Any, indent: int | None = None, new: bool = False) -> None:
     """Write `document` atomically as JSON; NaN and infinity are refused, for no other reader takes them."""
-    write_text(path, json.dumps(document, indent=indent, allow_nan=False) + "\n")
+    write_text(path, json.dumps(document, indent=indent, allow_nan=False) + "\n", new)
 
 
 def sha256_of_file(path: Path | str) -> str:

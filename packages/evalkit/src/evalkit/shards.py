@@ -92,7 +92,7 @@ class ShardWriter:
         self._atomic = atomic_path(self.path)
         self._temporary = self._atomic.__enter__()
         try:
-            self._file = h5py.File(self._temporary, "w", userblock_size=USER_BLOCK)
+            self._file = create_file(self._temporary)
             self._prepare_frames()
         except BaseException as error:
             self._atomic.__exit__(type(error), error, error.__traceback__)
@@ -376,7 +376,11 @@ def read_dataset_file(folder: Path | str) -> dict[str, Any]:
 
 
 def write_dataset_file(folder: Path | str, header: ShardHeader, shards: list[dict[str, Any]]) -> None:
-    """Write dataset.json: `shards` lists {"name", "scenes": [first, end]} of every shard that belongs."""
+    """Write dataset.json: `shards` lists {"name", "scenes": [first, end]} of every shard that belongs.
+
+    Raises:
+        FileExistsError: there is one, perhaps since a moment ago.
+    """
     document = {
         "format": DATASET_SCHEMA,
         "schema": SCHEMA,
@@ -387,7 +391,7 @@ def write_dataset_file(folder: Path | str, header: ShardHeader, shards: list[dic
         "seed": header.seed,
         "shards": shards,
     }
-    write_json(Path(folder) / DATASET_FILE, document, indent=1)
+    write_json(Path(folder) / DATASET_FILE, document, indent=1, new=True)
 
 
 def _in_order(document: dict[str, Any]) -> Any:
@@ -427,6 +431,15 @@ def seal(path: Path | str, schema: str) -> None:
         digest = _hash_rest(file)
         file.seek(0)
         file.write(f"{schema} sha256 {digest}\n".encode().ljust(USER_BLOCK, b"\0"))
+
+
+def create_file(path: Path | str) -> Any:
+    """A new HDF5 file with room for a checksum, open for writing, whose bytes depend on what is written alone.
+
+    Without a chunk cache, from which chunks would be written when Python lets go of a dataset: later, and so elsewhere
+    in the file, where a profiler such as that of Dask's workers holds on to it.
+    """
+    return h5py.File(path, "w", userblock_size=USER_BLOCK, rdcc_nbytes=0)
 
 
 def compression_filters(compression: str) -> dict[str, Any]:

@@ -7,10 +7,9 @@ so that workers, order and interruptions do not show in the result.
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,8 @@ from simgen.identity import first_difference, identity, own_identity
 from simgen.local_pool import count_scene, processes_here
 from simgen.progress import SceneProgress
 from simgen.scenes import Job, SceneRenderer
-from simgen.tasks import run_tasks
+from simgen.shard_locks import shards_locked
+from simgen.tasks import Pool, run_tasks
 from simgen.viewpoints import draw_viewpoints
 
 
@@ -60,8 +60,13 @@ class BuildReport:
         return sum(report.redone for report in self.written)
 
 
-def build(job: Job, folder: Path, workers: int) -> BuildReport:
+def build(job: Job, folder: Path, workers: int, shards: range | None = None, dask: str | None = None) -> BuildReport:
     """Complete the dataset in `folder`: write the shards that are missing or damaged, leave the others alone.
+
+    Args:
+        workers: processes on this machine.
+        shards: build these only; others may be at work on the rest, on other machines as well.
+        dask: address of the scheduler of a cluster to compute on in place of these processes.
 
     Raises:
         InputError: the folder holds another dataset, another build is at work in it, or workers keep dying.
@@ -70,18 +75,15 @@ def build(job: Job, folder: Path, workers: int) -> BuildReport:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; choose a folder with -o.")
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone_in(folder):
-        _claim(folder, job)
-        _remove_leftovers(folder)
+    _claim(folder, job)
+    shards = range(job.config.shards) if shards is None else shards
+    with shards_locked(folder, shards) as alone, _no_leftovers(folder, shards if alone else range(0)):
         report = BuildReport()
-        missing = _missing_shards(folder, job, report)
+        missing = _missing_shards(folder, job, shards, report)
         if missing:
             _compile(job)
-            try:
-                with SceneProgress(_scenes(job, missing)) as progress:
-                    _build_shards(job, folder, missing, workers, report, progress)
-            finally:
-                _remove_leftovers(folder)
+            with _pool(workers, dask, folder) as pool, SceneProgress(_scenes(job, missing)) as progress:
+                _build_shards(job, folder, missing, pool, report, progress)
     return report
 
 
@@ -108,31 +110,31 @@ def _claim(folder: Path, job: Job) -> None:
         InputError: the folder belongs to another dataset, or to an unknown one.
     """
     header = job.header()
-    shards = [
+    entries = [
         {"name": shard_name(shard), "scenes": [numbers.start, numbers.stop]}
         for shard in range(job.config.shards)
         for numbers in [job.config.scenes_of_shard(shard)]
     ]
-    if (folder / DATASET_FILE).exists():
-        document = read_dataset_file(folder)
-        difference = first_difference(identity(document.get("config"), document.get("object")), own_identity(job))
-        rest = {"camera": header.camera.to_json(), "depth_unit": header.depth_unit, "seed": header.seed}
-        rest |= {"shards": shards}
-        difference = difference or first_difference({name: document.get(name) for name in rest}, rest)
-        if difference is not None:
-            raise InputError(
-                f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
-                "or repeat the command that this one was built with."
-            )
-        return
-    if any(folder.glob("shard-*.h5")):
-        raise InputError(f"{folder}: holds shards but no {DATASET_FILE}; choose another folder with -o.")
-    write_dataset_file(folder, header, shards)
+    holds_shards = any(folder.glob("shard-*.h5"))
+    if not (folder / DATASET_FILE).exists():
+        if holds_shards:
+            raise InputError(f"{folder}: holds shards but no {DATASET_FILE}; choose another folder with -o.")
+        with contextlib.suppress(FileExistsError, FileNotFoundError):  # others, who started at the same moment, did
+            write_dataset_file(folder, header, entries)
+    document = read_dataset_file(folder)
+    difference = first_difference(identity(document.get("config"), document.get("object")), own_identity(job))
+    rest = {"camera": header.camera.to_json(), "depth_unit": header.depth_unit, "seed": header.seed, "shards": entries}
+    difference = difference or first_difference({name: document.get(name) for name in rest}, rest)
+    if difference is not None:
+        raise InputError(
+            f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
+            "or repeat the command that this one was built with."
+        )
 
 
-def _missing_shards(folder: Path, job: Job, report: BuildReport) -> list[int]:
+def _missing_shards(folder: Path, job: Job, shards: range, report: BuildReport) -> list[int]:
     missing, own = [], own_identity(job)
-    for shard in range(job.config.shards):
+    for shard in shards:
         path = folder / shard_name(shard)
         scenes = np.repeat(job.config.scenes_of_shard(shard), job.config.views)
         if path.exists() and _is_intact(path, own, scenes):
@@ -156,10 +158,21 @@ def _is_intact(path: Path, own: dict[str, Any], scenes: NDArray[np.int64]) -> bo
         return False
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove what a killed build was writing; nobody else is at work here."""
-    for pattern in (".shard-*.tmp", f".{DATASET_FILE}.*.tmp"):
-        for leftover in folder.glob(pattern):
+@contextlib.contextmanager
+def _no_leftovers(folder: Path, shards: range) -> Iterator[None]:
+    """Remove, before and after, what killed builds of these shards were writing: nobody else is at work on them."""
+    _remove_leftovers(folder, shards)
+    try:
+        yield
+    finally:
+        _remove_leftovers(folder, shards)
+
+
+def _remove_leftovers(folder: Path, shards: range) -> None:
+    names = [DATASET_FILE] * (len(shards) > 0)  # which is there, so that nobody needs another
+    names += [shard_name(shard) for shard in shards]
+    for leftover in folder.glob(".*.tmp"):
+        if any(leftover.name.startswith(f".{name}.") for name in names):
             leftover.unlink(missing_ok=True)
 
 
@@ -174,26 +187,18 @@ def _compile(job: Job) -> None:
         pass
 
 
+def _pool(workers: int, dask: str | None, folder: Path) -> AbstractContextManager[Pool]:
+    if dask is None:
+        return contextlib.nullcontext(processes_here(workers))
+    from simgen.dask_pool import dask_cluster
+
+    return dask_cluster(dask, folder)
+
+
 def _build_shards(
-    job: Job, folder: Path, shards: list[int], workers: int, report: BuildReport, progress: SceneProgress
+    job: Job, folder: Path, shards: list[int], pool: Pool, report: BuildReport, progress: SceneProgress
 ) -> None:
     def submit(executor: Executor, shard: int) -> Future[ShardReport]:
-        return executor.submit(build_shard, job.for_shard(shard), folder, shard)
+        return executor.submit(build_shard, job.for_shard(shard), folder.absolute(), shard)
 
-    report.broken_pools = run_tasks(processes_here(workers), shards, submit, report.written.append, progress)
-
-
-@contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system drops when this process ends, however it ends."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"{folder}: another 'simgen build' is at work in this folder; wait for it or choose another with -o."
-            ) from None
-        yield
-    finally:
-        os.close(handle)
+    report.broken_pools = run_tasks(pool, shards, submit, report.written.append, progress)

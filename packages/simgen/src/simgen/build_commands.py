@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgen.config import PRESETS, BuildConfig
+from simgen.config import PRESETS, BuildConfig, parse_shards
 from simgen.dataset_options import (
     camera_options,
     configured,
+    dask_option,
     object_options,
     pile_options,
     shard_options,
+    some_shards_option,
     workers_option,
 )
 from simgen.gl_platform import require_gl
@@ -30,16 +32,34 @@ if TYPE_CHECKING:
 @camera_options
 @shard_options
 @workers_option
+@some_shards_option
+@dask_option
 def build_command(
-    source: str, units: str, scale: float, symmetry: str, output: Path, preset: str, workers: int, **options: Any
+    source: str,
+    units: str,
+    scale: float,
+    symmetry: str,
+    output: Path,
+    preset: str,
+    workers: int,
+    shards: str | None,
+    dask: str | None,
+    **options: Any,
 ) -> None:
     """Simulate piles of an object, render them, and write labelled depth images as shards.
 
     Run the same command again to complete a folder that was interrupted. Options override the preset's values.
+
+    Several machines may fill one folder that all of them see, each with --shards of its own. As a Slurm array of
+    twenty jobs: sbatch --array=0-19 --wrap 'simgen build … -o shards --shards
+    $((10 * SLURM_ARRAY_TASK_ID))-$((10 * SLURM_ARRAY_TASK_ID + 9))'
+
+    A Dask cluster is given by its scheduler: --dask tcp://HOST:8786. Its workers need the folder under the same path,
+    the same software, and one thread each: dask worker tcp://HOST:8786 --nthreads 1 --nworkers 16
     """
     config = configured(PRESETS[preset](), **options)
     _require_renderer(config)
-    _write_shards(_planned(config, source, units, scale, symmetry), output, workers)
+    _write_shards(_planned(config, source, units, scale, symmetry), output, workers, shards, dask)
 
 
 @click.command("simulate")
@@ -75,7 +95,11 @@ def simulate_command(
 @camera_options
 @shard_options
 @workers_option
-def render_command(scenes: Path, output: Path, workers: int, **options: Any) -> None:
+@some_shards_option
+@dask_option
+def render_command(
+    scenes: Path, output: Path, workers: int, shards: str | None, dask: str | None, **options: Any
+) -> None:
     """Render SCENES and write labelled depth images as shards. Needs no PyBullet.
 
     SCENES is a file of `simgen simulate`: without options the shards are, byte for byte, those of `simgen build`;
@@ -86,7 +110,7 @@ def render_command(scenes: Path, output: Path, workers: int, **options: Any) -> 
     """
     job = _rendered_layouts(scenes, options) if scenes.is_dir() else _rendered_scenes(scenes, options)
     _require_renderer(job.config)
-    _write_shards(job, output, workers)
+    _write_shards(job, output, workers, shards, dask)
 
 
 def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
@@ -142,18 +166,20 @@ def _tell(job: Job) -> None:
         click.echo(job.config.sensor.describe(job.config.camera, *camera_distances(job)))
 
 
-def _write_shards(job: Job, output: Path, workers: int) -> None:
+def _write_shards(job: Job, output: Path, workers: int, shards: str | None, dask: str | None) -> None:
     from simgen.build import build
 
+    some = None if shards is None else parse_shards(shards, job.config.shards)
     start = time.monotonic()
-    report = build(job, output, workers)
+    report = build(job, output, workers, some, dask)
     seconds = time.monotonic() - start
     for name in report.damaged:
         click.echo(f"Warning: {name} was damaged and has been rebuilt.", err=True)
     _warn_of_broken_pools(report.broken_pools)
     written = sum(shard.scenes for shard in report.written)
+    part = "" if some is None else f"shards {some.start} to {some.stop - 1} of {job.config.shards}, "
     click.echo(
-        f"{output}: {written} scenes ({written * job.config.views} frames) written in {seconds:.0f} s, "
+        f"{output}: {part}{written} scenes ({written * job.config.views} frames) written in {seconds:.0f} s, "
         f"{report.kept} shards kept, {report.redone} drops redone"
     )
 

@@ -333,6 +333,21 @@ def parse_range(option: str, text: str) -> tuple[float, float]:
     return float(match[1]), float(match[2] or match[1])
 
 
+def parse_shards(text: str, count: int) -> range:
+    """``0-9`` or ``7`` to the shards of that many that are meant; what is beyond the last is left out.
+
+    Raises:
+        InputError: it is neither, or there are none.
+    """
+    match = re.fullmatch(r"\s*(\d{1,9})\s*(?:-\s*(\d{1,9})\s*)?", text)
+    shards = range(0) if match is None else range(int(match[1]), min(int(match[2] or match[1]) + 1, count))
+    if not shards:
+        raise InputError(
+            f"--shards {text}: give a number or a range FIRST-LAST of the {count} shards, 0 to {count - 1}."
+        )
+    return shards
+
+
 def parse_bin(text: str) -> BinSize | None:
     """``auto`` (None) or ``WxDxH`` in metres.
 

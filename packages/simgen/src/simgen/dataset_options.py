@@ -90,6 +90,12 @@ workers_option = click.option(
     callback=lambda _context, _option, value: _workers(value),
     help="Processes; all CPU cores if not given. Does not change the result.",
 )
+some_shards_option = click.option(
+    "--shards", metavar="FIRST-LAST", help="Build only these shards of the folder, counted from 0."
+)
+dask_option = click.option(
+    "--dask", metavar="ADDRESS", help="Compute on the Dask cluster of this scheduler, as tcp://host:8786."
+)
 
 
 def _workers(value: int | None) -> int:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from evalkit import poses
 from evalkit.atomic import atomic_path
 from evalkit.errors import InputError
-from evalkit.shards import USER_BLOCK, ShardHeader, checksum_problem, read_header, seal, write_array, write_header
+from evalkit.shards import ShardHeader, checksum_problem, create_file, read_header, seal, write_array, write_header
 from simgen.config_json import config_from_json
 from simgen.recorded import RecordedScenes
 from simgen.scenes import Job
@@ -49,7 +49,7 @@ def write_scenes(path: Path, header: ShardHeader, world_from_obj: Sequence[Array
     every = np.concatenate([np.zeros((0, 4, 4)), *world_from_obj])
     quaternion = poses.to_quaternion_xyzw(every[:, :3, :3])
     with atomic_path(path) as temporary:
-        with h5py.File(temporary, "w", userblock_size=USER_BLOCK) as file:
+        with create_file(temporary) as file:
             write_header(file, header, SCHEMA, _FILTERS)
             write_array(file, "instances", np.array([len(scene) for scene in world_from_obj], "<i4"), _FILTERS)
             write_array(file, "attempts", np.array(attempts, "<i4"), _FILTERS)

@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,19 +68,34 @@ class Job:
 
     def header(self) -> ShardHeader:
         """What all shards of the dataset share; of recorded scenes, as if they had been simulated here."""
-        origin, software = self._origin(), {name: version(name) for name in SOFTWARE}
-        config = self.config.to_json() | origin[0]
-        return ShardHeader(
-            self.config.camera, self.depth_unit, self.model, config, self.config.seed, software | origin[1]
-        )
+        origin, physics_software = self._origin()
+        config, software = self.config.to_json() | origin, _versions(SOFTWARE) | physics_software
+        return ShardHeader(self.config.camera, self.depth_unit, self.model, config, self.config.seed, software)
 
     def _origin(self) -> tuple[dict[str, Any], dict[str, str]]:
         """What the header's config says of where the scenes come from, and the software that made their poses."""
         if self.recorded is None:
             digest = fingerprint([_mesh_of(self.model), *self.convex_parts])
-            return {"geometry_sha256": digest}, {name: version(name) for name in PHYSICS_SOFTWARE}
+            return {"geometry_sha256": digest}, _versions(PHYSICS_SOFTWARE)
         made_with = self.recorded.software
         return self.recorded.origin, {name: made_with[name] for name in PHYSICS_SOFTWARE if name in made_with}
+
+
+def software_here() -> dict[str, str]:
+    """Versions of what decides the bytes of shards, as far as it is installed."""
+    return _versions(SOFTWARE) | _versions(name for name in PHYSICS_SOFTWARE if _installed(name))
+
+
+def _versions(names: Iterable[str]) -> dict[str, str]:
+    return {name: version(name) for name in names}
+
+
+def _installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def plan(
