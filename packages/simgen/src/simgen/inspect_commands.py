@@ -10,6 +10,7 @@ import click
 
 from evalkit.command import EXIT_BAD_INPUT
 from evalkit.errors import InputError
+from simgen.dataset_options import workers_option
 
 if TYPE_CHECKING:
     from simgen.meshes import PreparedObject
@@ -100,8 +101,22 @@ def view_command(shards: Path, scenes: int, recording: Path | None) -> None:
 
 @click.command("verify")
 @click.argument("shards", type=click.Path(path_type=Path))
-def verify_command(shards: Path) -> None:
-    """Check every checksum and every label law; exit code 2 where one is broken."""
+@click.option("--repair", is_flag=True, help="Rebuild what is damaged or missing, to the bytes that it had.")
+@workers_option
+def verify_command(shards: Path, repair: bool, workers: int) -> None:
+    """Check every checksum and every label law; exit code 2 where one is broken, and was not repaired."""
+    found = _verified(shards)
+    if found and repair:
+        _repair(shards, workers)
+        found = _verified(shards)
+    elif found and shards.is_dir():
+        click.echo(f"'simgen verify --repair {shards}' rebuilds what is damaged or missing.", err=True)
+    if found:
+        raise click.exceptions.Exit(EXIT_BAD_INPUT)
+
+
+def _verified(shards: Path) -> bool:
+    """Check and tell; returns whether there are problems."""
     from tqdm import tqdm
 
     from simgen.verify import verify_shards
@@ -113,8 +128,20 @@ def verify_command(shards: Path) -> None:
     if len(report.problems) > MOST_PROBLEMS:
         click.echo(f"… and {len(report.problems) - MOST_PROBLEMS} more", err=True)
     click.echo(f"{shards}: {report.summary}")
-    if report.problems:
-        raise click.exceptions.Exit(EXIT_BAD_INPUT)
+    return bool(report.problems)
+
+
+def _repair(shards: Path, workers: int) -> None:
+    if not shards.is_dir():
+        raise InputError(f"{shards}: --repair needs the folder of the dataset; give that.")
+    from evalkit.shards import shard_name
+    from simgen.repair import repair
+
+    report, warnings = repair(shards, workers)
+    for warning in warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    for name in sorted(shard_name(done.shard) for done in report.written):
+        click.echo(f"{name} {'was damaged and' if name in report.damaged else 'was missing and'} has been rebuilt.")
 
 
 def describe_object(prepared: PreparedObject) -> dict[str, Any]:
