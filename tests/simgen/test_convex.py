@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from simgen import convex
+from simgen.builtin_objects import candlestick
 from simgen.convex import COACD_OPTIONS, cache_folder, convex_parts
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -143,5 +144,14 @@ def test_where_coacd_fails_the_hull_stands_in_and_is_not_kept(failure: object, m
 def test_open_and_fine_meshes_are_simplified_for_coacd() -> None:
     ball = trimesh.creation.icosphere(5)
     simple = convex._simplified(np.array(ball.vertices), np.array(ball.faces, np.int64)[100:])
-    assert len(simple.faces) <= 1.1 * convex.MAX_FACES
+    assert len(simple.faces) <= 2 * convex.MAX_FACES
     assert simple.volume == pytest.approx(ball.volume, rel=0.02)
+
+
+def test_simplifying_keeps_thin_parts() -> None:
+    fine = trimesh.Trimesh(*candlestick(), process=False).subdivide().subdivide()
+    simple = convex._simplified(np.array(fine.vertices), np.array(fine.faces, np.int64))
+    assert len(simple.faces) < len(fine.faces) / 2
+    assert simple.is_watertight
+    assert simple.area == pytest.approx(fine.area, rel=0.01)
+    assert np.abs(simple.bounds - fine.bounds).max() < 0.005 * np.ptp(fine.bounds, axis=0).max()
