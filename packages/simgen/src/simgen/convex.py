@@ -32,7 +32,7 @@ COACD_OPTIONS: dict[str, Any] = {
     "seed": 0,
 }
 MAX_FACES = 5_000  # CoACD's time grows with them, the parts hardly change
-AGGRESSION = 2  # 7, the default, ate a quarter of a candlestick; 1 leaves a fine ball as it is
+AGGRESSIONS = (1, 2, 3)  # 7, the default, eats a quarter of a candlestick; 1 leaves a fine ball as it is
 TIME_LIMIT_S = 300.0
 CACHE_VERSION = 3
 
@@ -85,7 +85,11 @@ def _simplified(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> trim
     mesh = trimesh.Trimesh(*closed(vertices, faces), process=False)
     if len(mesh.faces) <= MAX_FACES:
         return mesh
-    return mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=AGGRESSION)
+    for aggression in AGGRESSIONS:
+        simple = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
+        if len(simple.faces) <= 2 * MAX_FACES and simple.is_watertight:
+            break
+    return simple
 
 
 def _run_coacd(mesh: trimesh.Trimesh) -> list[Part]:
