@@ -57,13 +57,13 @@ def test_a_cluster_that_loses_a_worker_writes_the_bytes_of_a_local_build(
     command = [str(Path(sys.executable).with_name("simgen")), "build", "--object", "brick", "--preset", "debug"]
     command += ["--scenes", str(SHARDS), "--views", "1", "--shard-scenes", "1", "--dask", address, "-o", "far"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        deadline = time.monotonic() + 300
+        deadline = time.monotonic() + 900
         while not list((tmp_path / "far").glob("shard-*.h5")):
             assert process.poll() is None and time.monotonic() < deadline
             time.sleep(0.01)
         with contextlib.suppress(ProcessLookupError):
             os.kill(workers[0], signal.SIGKILL)
-        _, errors = process.communicate(timeout=300)
+        _, errors = process.communicate(timeout=900)
     assert process.returncode == 0, errors
     build(brick_job(), tmp_path / "here", workers=2)
     assert len(contents(tmp_path / "here")) == SHARDS + 1
