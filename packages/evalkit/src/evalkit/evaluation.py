@@ -276,8 +276,8 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
     where = f"{predictions.source}: "
     if predictions.object_name != truth.object.name:
         raise InputError(
-            f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; where "
-            "they are one, give it one name: 'evalkit gt --object NAME'."
+            f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
+            "where they are one, give it one name: 'evalkit gt --object NAME'."
         )
     diameter = predictions.object.get("diameter") if isinstance(predictions.object, dict) else None
     if diameter is not None and abs(diameter / truth.object.diameter - 1.0) > DIAMETER_TOLERANCE:
