@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -89,6 +88,8 @@ def from_quaternion_xyzw(quaternion: ArrayLike) -> Array:
 
 def to_quaternion_xyzw(rotation: ArrayLike) -> Array:
     """Unit quaternions (..., 4) in x, y, z, w order, w >= 0, of rotations (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation  # slow to import, and nothing else here needs it
+
     quaternion = np.asarray(Rotation.from_matrix(np.asarray(rotation, float)).as_quat())
     return np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
 
