@@ -12,6 +12,8 @@ import sys
 import time
 from pathlib import Path
 
+from commands import run as run_command
+
 BUDGET_MINUTES = 14.0
 AFTER_TRAINING_MINUTES = 1.2  # prediction, scoring and pictures
 TRAIN_SCENES = 400  # two passes over them fill the time
@@ -78,10 +80,7 @@ def _run(title: str, command: str, *arguments: object) -> None:
     """Run one of our commands as a user would, and show it."""
     if title:
         print(f"\n=== {title}")
-    words = [command, *map(str, arguments)]
-    print(f"$ {' '.join(words)}", flush=True)
-    executable = Path(sys.executable).with_name(command)
-    subprocess.run([str(executable), *words[1:]], check=True)
+    run_command(command, *arguments)
 
 
 if __name__ == "__main__":

@@ -72,14 +72,14 @@ class _Draw:
 
 def _slant_factor(depth: Tensor) -> Tensor:
     """How much noise grows with slope: half as much again at 60 degrees and beyond, as stereo cameras measure."""
-    steps = _steps(depth, 1)
+    steps = _steps(depth)
     typical = steps.flatten()[::37].median().clamp(min=1e-6)
     return 1.0 + 0.5 * (steps / (4 * typical)).clamp(max=1.0)
 
 
 def _beside_edges(depth: Tensor, diameter: float, draw: _Draw) -> Tensor:
     """Pixels (H, W) that lose their return beside an edge, on the one side more than on the other."""
-    edge = _steps(depth, 1) > EDGE_STEP * diameter
+    edge = _steps(depth) > EDGE_STEP * diameter
     field, loss = draw.field(HOLE_CELL), EDGE_LOSS * draw.number()
     lost = torch.zeros_like(edge)
     for direction in (-1, 1):
@@ -105,8 +105,7 @@ def _highest(field: Tensor, share: float) -> Tensor:
     return field > field.flatten()[::11].quantile(1.0 - share)
 
 
-def _steps(depth: Tensor, dim: int) -> Tensor:
-    """Absolute difference (H, W) of each pixel's depth to the one before it along `dim`; 0 beside holes."""
-    step = torch.diff(depth, dim=dim).abs()
-    known = (depth.narrow(dim, 1, depth.shape[dim] - 1) > 0) & (depth.narrow(dim, 0, depth.shape[dim] - 1) > 0)
-    return F.pad(step * known, (1, 0) if dim == 1 else (0, 0, 1, 0))
+def _steps(depth: Tensor) -> Tensor:
+    """Absolute difference (H, W) of each pixel's depth to that of its left neighbour; 0 beside holes."""
+    known = (depth[:, 1:] > 0) & (depth[:, :-1] > 0)
+    return F.pad(torch.diff(depth, dim=1).abs() * known, (1, 0))
