@@ -11,6 +11,7 @@ import trimesh
 from click.testing import CliRunner, Result
 
 from evalkit import poses
+from evalkit.cli import main as evalkit
 from evalkit.shards import ShardDataset
 from simgen.cli import cli
 
@@ -74,6 +75,14 @@ def test_published_scenes_can_be_seen_by_a_depth_camera_with_errors(folder: Path
     assert CliRunner().invoke(cli, ["verify", str(tmp_path / "out")]).exit_code == 0
     again = render(folder, "-o", tmp_path / "out", "--sensor", "stereo", "--keep-ideal", "--shard-scenes", "1")
     assert "2 shards kept" in again.output
+
+
+def test_their_ground_truth_takes_the_name_that_a_model_of_their_mesh_has(folder: Path, tmp_path: Path) -> None:
+    render(folder, "-o", tmp_path / "out")
+    out = tmp_path / "gt.json"
+    result = CliRunner().invoke(evalkit, ["gt", str(tmp_path / "out"), "--object", "mesh", "-o", str(out)])
+    assert result.exit_code == 0, result.output
+    assert json.loads(out.read_text())["object"]["name"] == "mesh"
 
 
 def test_other_poses_are_another_dataset(folder: Path, tmp_path: Path) -> None:

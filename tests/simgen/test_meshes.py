@@ -81,6 +81,12 @@ def test_built_in_objects_need_no_file_and_give_no_warning(name: str) -> None:
     assert prepared.mesh.is_watertight
 
 
+def test_an_object_is_named_by_its_file_or_as_asked(tmp_path: Path) -> None:
+    path = brick_file(tmp_path)
+    assert prepare_object(path).model.name == Path(path).stem
+    assert prepare_object(path, name="sileane_bunny").model.name == "sileane_bunny"
+
+
 def test_a_given_symmetry_is_obeyed_and_doubted(tmp_path: Path) -> None:
     path = brick_file(tmp_path)
     right = prepare_object(path, symmetry="cyclic:2")
@@ -112,6 +118,7 @@ BAD_OPTIONS: list[dict[str, object]] = [
     {"symmetry": "revolution@w"},
     {"symmetry": "revolution@0,0,0"},
     {"symmetry": ""},
+    {"name": " "},
 ]
 
 

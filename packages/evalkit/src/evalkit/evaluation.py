@@ -277,7 +277,7 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
     if predictions.object_name != truth.object.name:
         raise InputError(
             f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
-            "where they are one, give it one name: 'evalkit gt --object NAME'."
+            "where they are one, give it one name: 'evalkit gt --object NAME', or 'simgen build --name NAME'."
         )
     diameter = predictions.object.get("diameter") if isinstance(predictions.object, dict) else None
     if diameter is not None and abs(diameter / truth.object.diameter - 1.0) > DIAMETER_TOLERANCE:

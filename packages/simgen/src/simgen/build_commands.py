@@ -39,6 +39,7 @@ def build_command(
     units: str,
     scale: float,
     symmetry: str,
+    name: str | None,
     output: Path,
     preset: str,
     workers: int,
@@ -59,7 +60,7 @@ def build_command(
     """
     config = configured(PRESETS[preset](), **options)
     _require_renderer(config)
-    _write_shards(_planned(config, source, units, scale, symmetry), output, workers, shards, dask)
+    _write_shards(_planned(config, source, units, scale, symmetry, name), output, workers, shards, dask)
 
 
 @click.command("simulate")
@@ -70,7 +71,15 @@ def build_command(
 @shard_options
 @workers_option
 def simulate_command(
-    source: str, units: str, scale: float, symmetry: str, output: Path, preset: str, workers: int, **options: Any
+    source: str,
+    units: str,
+    scale: float,
+    symmetry: str,
+    name: str | None,
+    output: Path,
+    preset: str,
+    workers: int,
+    **options: Any,
 ) -> None:
     """Simulate piles of an object and write their poses, without any image, as one small file.
 
@@ -79,7 +88,7 @@ def simulate_command(
     """
     from simgen.simulate import simulate
 
-    job = _planned(configured(PRESETS[preset](), **options), source, units, scale, symmetry)
+    job = _planned(configured(PRESETS[preset](), **options), source, units, scale, symmetry, name)
     start = time.monotonic()
     report = simulate(job, output, workers)
     _warn_of_broken_pools(report.broken_pools)
@@ -138,12 +147,12 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     return job
 
 
-def _planned(config: BuildConfig, source: str, units: str, scale: float, symmetry: str) -> Job:
+def _planned(config: BuildConfig, source: str, units: str, scale: float, symmetry: str, name: str | None) -> Job:
     """The job of an object and a config, told to the user."""
     from simgen.meshes import prepare_object  # here, for --help need not wait for numba and PyBullet
     from simgen.scenes import plan
 
-    prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry)
+    prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry, name=name)
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
     job = plan(config, prepared.model, prepared.convex_parts)

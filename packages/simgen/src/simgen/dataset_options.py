@@ -42,6 +42,7 @@ object_options = _group(
     click.option(
         "--symmetry", default="auto", show_default=True, help="auto, none, cyclic:N, dihedral:N, revolution …"
     ),
+    click.option("--name", help="What documents call the object.  [default: its file's name]"),
 )
 pile_options = _group(
     click.option("--preset", type=click.Choice(list(PRESETS)), default="default", show_default=True),

@@ -64,27 +64,32 @@ def describe(found: DetectedSymmetry) -> str:
     return "none" if miss is None else f"none (nearest: {miss.symmetry.name}, off by {1e3 * miss.worst:.2g} mm)"
 
 
-def prepare_object(source: str, units: str = "auto", scale: float = 1.0, symmetry: str = "auto") -> PreparedObject:
+def prepare_object(
+    source: str, units: str = "auto", scale: float = 1.0, symmetry: str = "auto", name: str | None = None
+) -> PreparedObject:
     """Read `source`, a mesh file or a built-in object's name, as an object in metres.
 
     Args:
         units: auto, m or mm: the file's unit; a built-in object is in metres.
         scale: factor on the size, on top of the unit.
         symmetry: auto, a group's name, or a name and its axis such as ``revolution@z``.
+        name: what documents call the object; the file's or the built-in object's name if None.
 
     Raises:
         InputError: the file is not a usable mesh, or an option makes no sense.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise InputError(f"--scale {scale:g}: must be a positive number.")
-    name, vertices, faces, notes = _read(source)
+    if name is not None and not name.strip():
+        raise InputError("--name: is empty; name the object, or leave the option out.")
+    own_name, vertices, faces, notes = _read(source)
     mesh = mend(vertices, faces)
     _require_body(mesh, source)
     mesh, unit, reason, warnings = _in_metres(mesh, source, units, scale)
     found = resolve_symmetry(mesh.vertices, mesh.faces, symmetry)
     parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
-    model = ObjectModel.from_mesh(name, mesh.vertices, mesh.faces, found.symmetry, **notes)
+    model = ObjectModel.from_mesh(name or own_name, mesh.vertices, mesh.faces, found.symmetry, **notes)
     warnings += [*mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
     return PreparedObject(model, parts, warnings, reason, mesh, found)
 
