@@ -95,8 +95,7 @@ def refined(
     best = np.argsort(-votes, kind="stable")[:MOST_HYPOTHESES]
     share = votes[best] / max(votes.max(initial=0.0), 1.0)
     fitted = refiner.refine(depth, camera, found[best], share)
-    score = fitted.evidence * (0.5 + 0.5 * share)
-    return fitted.cam_from_obj[~fitted.duplicate], score[~fitted.duplicate]
+    return fitted.cam_from_obj, fitted.score
 
 
 def compare(model: Path, shards: Path, images: int, python: Path) -> Iterator[str]:

@@ -119,13 +119,11 @@ _NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), 0.
 
 
 def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses, camera: Camera) -> PredictedPoses:
-    """The poses fitted to the image, without duplicates, scored by the network and the image together."""
+    """The poses fitted to the image: one a detection, without duplicates, scored by what the image says of them."""
     most = min(len(found.score), REFINED_HYPOTHESES)
-    refined = refiner.refine(depth, camera, found.cam_from_obj[:most], found.score[:most])
-    score = refined.evidence * (0.5 + 0.5 * found.score[:most])
-    kept = np.flatnonzero(~refined.duplicate)
-    kept = kept[np.argsort(-score[kept], kind="stable")]
-    return PredictedPoses(refined.cam_from_obj[kept], score[kept], found.boxes[kept], found.time_s)
+    detection = np.unique(found.boxes[:most], axis=0, return_inverse=True)[1].reshape(-1)  # a detection has one box
+    refined = refiner.refine(depth, camera, found.cam_from_obj[:most], found.score[:most], detection)
+    return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[refined.hypothesis], found.time_s)
 
 
 def to_document(model: ObjectModel, images: Iterator[tuple[str, PredictedPoses]]) -> Predictions:
