@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,9 +83,13 @@ def test_images_without_instances_train(debug_shards: Path) -> None:
         assert torch.isfinite(loss)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(debug_shards: Path, tmp_path: Path, noise: float) -> None:
-    config = with_options(preset("debug"), "train", augment_noise=noise, augment_holes=noise)
+@pytest.mark.parametrize(
+    "choices", [{"optimizer": "adamw"}, {"optimizer": "muon"}, {"augment_noise": 0.02, "augment_holes": 0.02}], ids=str
+)
+def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(
+    debug_shards: Path, tmp_path: Path, choices: dict[str, Any]
+) -> None:
+    config = with_options(preset("debug"), "train", **choices)
     whole = fit(options(debug_shards, tmp_path / "whole", config, epochs=6))
     stopped = options(debug_shards, tmp_path / "stopped", config, epochs=6)
     take = Trainer._step

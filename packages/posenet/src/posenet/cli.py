@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from evalkit.command import Commands
-from posenet.config import PRESETS, SCHEDULES, TASKS, Config, preset, with_options
+from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, preset, with_options
 
 
 @click.group(cls=Commands)
@@ -35,6 +35,7 @@ def main() -> None:
     help="GPUs, or processes on the CPU, that share every batch; the result is that of one.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--optimizer", type=click.Choice(OPTIMIZERS), default=None, help="What steps along the gradients.")
 @click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Peak learning rate.")
 @click.option("--batch-images", type=click.IntRange(min=1), help="Images a step.")
 @click.option("--schedule", type=click.Choice(SCHEDULES), default=None, help="How the learning rate goes.")
@@ -90,7 +91,9 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     click.echo(_summary(run.path))
 
 
-_TRAIN_OPTIONS = ("learning_rate", "batch_images", "schedule", "ema", "precision", "augment_noise", "augment_holes")
+_TRAIN_OPTIONS = (
+    "optimizer", "learning_rate", "batch_images", "schedule", "ema", "precision", "augment_noise", "augment_holes",
+)  # fmt: skip
 
 
 def _configured(preset_name: str, options: dict[str, Any]) -> Config:

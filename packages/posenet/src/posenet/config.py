@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 from evalkit.errors import InputError
 
 TASKS = ("offset", "depth", "rotation")
+OPTIMIZERS = ("adam", "adamw", "muon")
 SCHEDULES = ("one-cycle", "cosine", "constant")
 
 
@@ -29,6 +30,8 @@ class NetworkConfig:
     roi_scale: float = 1.1
     roi_size: int = 8
     crop_size: int = 32  # a raw crop of relative depth and normals beside the trunk's features; 0: none
+    crop_widths: tuple[int, ...] = (32, 64, 64)  # channels of the crop's branch, at each halving
+    crop_layers: int = 1  # convolutions before each halving
     fc_width: int = 512
     dropout: float = 0.0
     norm: Literal["batch", "group"] = "batch"  # over a step's images, or within each; vgg16 has none
@@ -72,7 +75,7 @@ class TrainConfig:
 
     batch_images: int = 8
     rois_per_image: int = 16
-    optimizer: Literal["adam", "adamw"] = "adamw"
+    optimizer: Literal["adam", "adamw", "muon"] = "adamw"
     learning_rate: float = 1e-3
     weight_decay: float = 1e-2
     schedule: Literal["one-cycle", "cosine", "constant"] = "one-cycle"

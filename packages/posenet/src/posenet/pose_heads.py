@@ -38,7 +38,7 @@ class PoseHeads(nn.Module):
         super().__init__()
         self.config = config
         size = config.roi_size
-        self.crop = CropBranch(config.crop_size, size, norm=config.norm) if config.crop_size else None
+        self.crop = CropBranch(config) if config.crop_size else None
         merged = channels + (self.crop.channels if self.crop else 0)
         self.merge = nn.Sequential(*_normalised(merged, channels, config.norm)) if self.crop else nn.Identity()
         width = config.fc_width
@@ -87,20 +87,21 @@ class PoseHeads(nn.Module):
 
 
 class CropBranch(nn.Module):
-    """Convolutions that halve a raw crop until it has the pooled features' size."""
+    """Convolutions that halve a raw crop until it has the pooled features' size, wider at each level."""
 
-    def __init__(self, crop_size: int, roi_size: int, width: int = 32, norm: str = "batch") -> None:
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         layers: list[nn.Module] = []
-        channels, size = CROP_CHANNELS, crop_size
-        while True:
-            layers += _normalised(channels, width, norm)
-            channels = width
-            if size <= roi_size:
-                break
-            layers.append(nn.MaxPool2d(2))
-            size, width = size // 2, min(2 * width, 64)
-        layers.append(nn.AdaptiveAvgPool2d(roi_size) if size != roi_size else nn.Identity())
+        channels, width, size = CROP_CHANNELS, config.crop_widths[0], config.crop_size
+        for level in range(len(config.crop_widths)):
+            width = config.crop_widths[level]
+            if level:
+                layers.append(nn.MaxPool2d(2))
+                size //= 2
+            for _ in range(config.crop_layers):
+                layers += _normalised(channels, width, config.norm)
+                channels = width
+        layers.append(nn.AdaptiveAvgPool2d(config.roi_size) if size != config.roi_size else nn.Identity())
         self.layers = nn.Sequential(*layers)
         self.channels = channels
 

@@ -26,6 +26,7 @@ from posenet.history import ROW_EVERY, History
 from posenet.interruption import Interruption
 from posenet.mean import Mean
 from posenet.model_file import save_model
+from posenet.muon import Muon
 from posenet.network import PoseNetwork
 from posenet.processes import ALONE, Place
 from posenet.provenance import data_hash, git_version, software_versions
@@ -322,13 +323,19 @@ class Trainer:
 
 def _optimizers(network: PoseNetwork, config: Config) -> tuple[torch.optim.Optimizer, torch.optim.Optimizer | None]:
     """One for the multi-task network, one for what learns on its detached features."""
-    kind = torch.optim.AdamW if config.train.optimizer == "adamw" else torch.optim.Adam
+    chosen, decay = config.train.optimizer, config.train.weight_decay
 
-    def optimizer(parameters: list[torch.nn.Parameter], rate: float) -> torch.optim.Optimizer:
+    def optimizer(parameters: list[torch.nn.Parameter], rate: float, name: str) -> torch.optim.Optimizer:
         group = {"params": parameters, "initial_lr": rate}
-        return kind([group], lr=rate, weight_decay=config.train.weight_decay, fused=True)
+        if name == "muon":
+            return Muon(
+                [group], lr=rate, weight_decay=decay, precision=torch.bfloat16 if network.bf16 else torch.float32
+            )
+        kind = torch.optim.Adam if name == "adam" else torch.optim.AdamW
+        return kind([group], lr=rate, weight_decay=decay, fused=True)
 
     rate = config.train.learning_rate
     scoring = list(network.scoring_parameters())
-    main = optimizer(list(network.main_parameters()), rate)
-    return main, optimizer(scoring, rate * config.train.scoring_rate) if scoring else None
+    main = optimizer(list(network.main_parameters()), rate, chosen)
+    small = "adamw" if chosen == "muon" else chosen
+    return main, optimizer(scoring, rate * config.train.scoring_rate, small) if scoring else None
