@@ -10,6 +10,7 @@ from turns half as large, and then the set is verified, best first: a depth pixe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -55,7 +56,7 @@ class _Fits:
     evidence: Array
 
     def select(self, rows: NDArray[np.int64]) -> _Fits:
-        parts = (self.cam_from_obj, self.hypothesis, self.agreement, self.violation, self.evidence)
+        parts: tuple[Any, ...] = (self.cam_from_obj, self.hypothesis, self.agreement, self.violation, self.evidence)
         return _Fits(*(part[rows] for part in parts))
 
     def joined(self, other: _Fits) -> _Fits:
