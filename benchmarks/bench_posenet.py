@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch.optim import Optimizer
 
 from evalkit.camera import Camera
 from posenet import losses
@@ -30,6 +31,7 @@ from posenet.config import PRESETS, preset
 from posenet.dataset import Frames
 from posenet.device import supports_bf16
 from posenet.network import PoseNetwork
+from posenet.optimizers import build_optimizers
 from posenet.refine import Refiner
 from posenet.targets import Batch
 
@@ -95,7 +97,8 @@ def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> dict[str
     The scores train every `scoring_every` steps, and that share of their time counts.
     """
     train = network.config.train
-    optimizer = torch.optim.AdamW(network.parameters(), 1e-3)
+    main, scoring = build_optimizers(network, train)
+    optimizers = [main, *([scoring] if scoring else [])]
     rows: Rows = {}
     network.train()
     for step in range(steps + WARM_UP):
@@ -104,8 +107,7 @@ def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> dict[str
         loss = _timed(rows, "forward", _loss, network, batch)
         _timed(rows, "backward", loss.backward)
         _timed(rows, "scoring", _scoring, network, batch)
-        _timed(rows, "optimiser", optimizer.step)
-        optimizer.zero_grad(set_to_none=True)
+        _timed(rows, "optimiser", _step, optimizers)
     spent = {name: _median(rows[name]).times(1 / train.batch_images) for name in STAGES}
     # What is timed as scoring runs the multi-task part once more; what it adds is the difference.
     spent["scoring"] = spent["scoring"].beyond(spent["forward"]).times(1 / train.scoring_every)
@@ -114,6 +116,12 @@ def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> dict[str
     for name, seconds in spent.items():
         print(f"    {name:<14}{seconds} an image {seconds.wall / whole.wall:6.0%}")
     return {"training": whole, **spent}
+
+
+def _step(optimizers: list[Optimizer]) -> None:
+    for optimizer in optimizers:
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
 
 
 def bench_prediction(network: PoseNetwork, frames: Frames, steps: int, refined: int) -> dict[str, Seconds]:

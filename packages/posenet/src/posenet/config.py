@@ -29,9 +29,9 @@ class NetworkConfig:
     roi: Literal["box", "metric"] = "metric"
     roi_scale: float = 1.1
     roi_size: int = 8
-    crop_size: int = 32  # a raw crop of relative depth and normals beside the trunk's features; 0: none
-    crop_widths: tuple[int, ...] = (32, 64, 64)  # channels of the crop's branch, at each halving
-    crop_layers: int = 1  # convolutions before each halving
+    crop_size: int = 64  # a raw crop of relative depth and normals beside the trunk's features; 0: none
+    crop_widths: tuple[int, ...] = (16, 32, 64, 128)  # channels of the crop's branch, at each halving
+    crop_layers: int = 2  # convolutions before each halving
     fc_width: int = 512
     dropout: float = 0.0
     norm: Literal["batch", "group"] = "batch"  # over a step's images, or within each; vgg16 has none
@@ -75,8 +75,8 @@ class TrainConfig:
 
     batch_images: int = 8
     rois_per_image: int = 16
-    optimizer: Literal["adam", "adamw", "muon"] = "adamw"
-    learning_rate: float = 1e-3
+    optimizer: Literal["adam", "adamw", "muon"] = "muon"
+    learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     schedule: Literal["one-cycle", "cosine", "constant"] = "one-cycle"
     warmup: float = 0.08  # share of the run until the peak of one-cycle and constant; cosine begins at its peak
@@ -89,7 +89,7 @@ class TrainConfig:
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
     scoring_rate: float = (
-        3.5  # times the learning rate: what is learnt from few, detached hypotheses needs larger steps
+        1.75  # times the learning rate: what is learnt from few, detached hypotheses needs larger steps
     )
     scoring_start: float = 0.25  # share of the run after which they do
     validation_share: float = 0.05  # of the scenes
@@ -119,12 +119,14 @@ class Config:
             InputError: a field is unknown to this version or missing.
         """
         try:
-            parts = {name: _section(kind, document[name]) for name, kind in _SECTIONS.items()}
+            parts = {name: _section(kind, _BEFORE.get(name, {}) | document[name]) for name, kind in _SECTIONS.items()}
             return cls(preset=str(document["preset"]), **parts)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{where}: not a configuration of this posenet version ({error}).") from None
 
 
+# What files say that were written before there was a choice.
+_BEFORE: dict[str, dict[str, Any]] = {"network": {"crop_widths": (32, 64, 64), "crop_layers": 1}}
 _SECTIONS = {"network": NetworkConfig, "loss": LossConfig, "train": TrainConfig}
 
 
@@ -187,8 +189,15 @@ def debug() -> Config:
     """Seconds: for tests and for trying a pipeline out."""
     return Config(
         "debug",
-        NetworkConfig(backbone="vgg_debug", fc_width=256, registration_blocks=1),
-        train=TrainConfig(batch_images=4, learning_rate=2e-3, box_jitter=0.04, validation_images=8, validations=1),
+        NetworkConfig(
+            backbone="vgg_debug",
+            crop_size=32,
+            crop_widths=(32, 64, 64),
+            crop_layers=1,
+            fc_width=256,
+            registration_blocks=1,
+        ),
+        train=TrainConfig(batch_images=4, box_jitter=0.04, validation_images=8, validations=1),
     )
 
 

@@ -17,7 +17,6 @@ from tqdm import tqdm
 from evalkit.errors import InputError
 from posenet import losses
 from posenet.augment import Degradation, degrade, generator_of
-from posenet.config import Config
 from posenet.dataset import Frames, Split, epoch_order, step_seeds
 from posenet.device import choose_device, supports_bf16
 from posenet.ema import WeightAverage
@@ -26,8 +25,8 @@ from posenet.history import ROW_EVERY, History
 from posenet.interruption import Interruption
 from posenet.mean import Mean
 from posenet.model_file import save_model
-from posenet.muon import Muon
 from posenet.network import PoseNetwork
+from posenet.optimizers import build_optimizers
 from posenet.processes import ALONE, Place
 from posenet.provenance import data_hash, git_version, software_versions
 from posenet.run_folder import RunFolder
@@ -62,7 +61,7 @@ class Trainer:
         self.logger = TensorBoardLogger(run.path, name="", version="")
         self.fabric = place.fabric(device, self.logger)
         self.network = network.in_fast_layout()
-        main, scoring = _optimizers(network, options.config)
+        main, scoring = build_optimizers(network, self.config)
         self.module, self.main, *rest = self.fabric.setup(self.network, main, *([scoring] if scoring else []))
         self.scoring = rest[0] if rest else None
         self.average = WeightAverage(self.network, self.config.ema) if self.config.ema > 0 and place.leads else None
@@ -319,23 +318,3 @@ class Trainer:
             "git": git_version(),
             "software": software_versions(),
         }
-
-
-def _optimizers(network: PoseNetwork, config: Config) -> tuple[torch.optim.Optimizer, torch.optim.Optimizer | None]:
-    """One for the multi-task network, one for what learns on its detached features."""
-    chosen, decay = config.train.optimizer, config.train.weight_decay
-
-    def optimizer(parameters: list[torch.nn.Parameter], rate: float, name: str) -> torch.optim.Optimizer:
-        group = {"params": parameters, "initial_lr": rate}
-        if name == "muon":
-            return Muon(
-                [group], lr=rate, weight_decay=decay, precision=torch.bfloat16 if network.bf16 else torch.float32
-            )
-        kind = torch.optim.Adam if name == "adam" else torch.optim.AdamW
-        return kind([group], lr=rate, weight_decay=decay, fused=True)
-
-    rate = config.train.learning_rate
-    scoring = list(network.scoring_parameters())
-    main = optimizer(list(network.main_parameters()), rate, chosen)
-    small = "adamw" if chosen == "muon" else chosen
-    return main, optimizer(scoring, rate * config.train.scoring_rate, small) if scoring else None
