@@ -89,7 +89,7 @@ def ap(figures: Path) -> float:
 
 def protocol(figures: Path) -> str:
     document: dict[str, Any] = json.loads(figures.read_text())
-    return f"{document['protocol']}, {document['counts']['images']} images"
+    return f"{document['counts']['images']} images; {document['protocol']}"
 
 
 def milliseconds(predictions: Path) -> float:

@@ -41,6 +41,8 @@ ABLATIONS = [
     ("loss", {"tasks": ("depth",)}),
     ("train", {"schedule": "cosine"}),
     ("train", {"schedule": "constant"}),
+    ("train", {"optimizer": "adamw"}),
+    ("network", {"crop_widths": (8, 16), "crop_layers": 2}),
 ]
 
 
