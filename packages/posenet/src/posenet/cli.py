@@ -50,6 +50,7 @@ def main() -> None:
 @click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
 @click.option("--validation/--no-validation", default=True, help="Hold scenes out and keep the best model by their AP.")
 @click.option("--offset/--no-offset", default=None, help="Without: the box centre stands in for the centre.")
+@click.option("--confidence", type=click.Choice(["product", "learned"]), help="Scores before registration.")
 @click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
 @click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
@@ -98,7 +99,9 @@ _TRAIN_OPTIONS = (
 
 def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     config = preset(preset_name)
-    network = {key: options[key] for key in ("offset", "registration", "hypotheses", "orientation", "norm")}
+    network = {
+        key: options[key] for key in ("offset", "confidence", "registration", "hypotheses", "orientation", "norm")
+    }
     config = with_options(config, "network", **network)
     tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None
     config = with_options(config, "loss", registration_weights=options["registration_weights"], tasks=tasks)

@@ -1,0 +1,131 @@
+"""What the paper's choices are worth on our data: one table, the same images and passes for every row.
+
+    python benchmarks/claims.py --object bunny --sensor stereo --epochs 1
+
+Sock et al. (BMVC 2018) claim that each of these gains: the offset network, several hypotheses, joint registration, and
+learning all tasks together. Everything is kept in --out and continued from there. AP is Sym, Siléane protocol, on
+scenes of another seed; of the tasks, the median errors on the true boxes of instances at least half visible.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from accuracy import TEST_SEED, TRAIN_SEED, ap
+from commands import run
+from posenet import hypotheses
+from posenet.config import TASKS
+from posenet.dataset import Frames
+from posenet.model_file import load_model
+from posenet.network import PoseNetwork
+
+TRAININGS: dict[str, tuple[str, ...]] = {
+    "small": (),
+    "no-offset": ("--no-offset",),
+    "product": ("--confidence", "product"),
+    "printed-weights": ("--registration-weights", "paper"),
+    **{f"only-{task}": ("--tasks", task) for task in TASKS},
+}
+ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("as it is", "small", ()),
+    ("one hypothesis a detection, not five", "small", ("--hypotheses", "1")),
+    ("trained without the offset", "no-offset", ()),
+    ("without registration", "small", ("--no-registration",)),
+    ("scores are the marginals' product", "product", ("--no-registration",)),
+    ("the product, registered", "product", ()),
+    ("registration's weights as the paper prints them", "printed-weights", ()),
+)
+LEAST_VISIBILITY = 0.5
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--object", default="bunny", help="mesh file or built-in object")
+    parser.add_argument("--sensor", default="stereo", choices=("ideal", "stereo", "kinect"))
+    parser.add_argument("--epochs", type=int, default=1, help="passes over the training images, for each training")
+    parser.add_argument("--preset", default="small", help="of posenet")
+    parser.add_argument("--data", default="demo", help="preset of simgen")
+    parser.add_argument("--scenes", type=int, default=640)
+    parser.add_argument("--views", type=int, default=12)
+    parser.add_argument("--test-scenes", type=int, default=40, help="two views each")
+    parser.add_argument("--out", type=Path, help="[runs/claims/OBJECT-SENSOR-EPOCHS]")
+    options = parser.parse_args()
+    out = options.out or Path("runs") / "claims" / f"{Path(options.object).stem}-{options.sensor}-{options.epochs}"
+    build(options, out)
+    for name, words in TRAININGS.items():
+        run("posenet", "fit", out / "train", "--preset", options.preset, "--epochs", options.epochs, *words,
+            "-o", out / name)  # fmt: skip
+    for line in [*score_table(out), "", *task_table(out)]:
+        print(line)
+
+
+def build(options: argparse.Namespace, out: Path) -> None:
+    sets = {"train": (options.scenes, options.views, TRAIN_SEED), "test": (options.test_scenes, 2, TEST_SEED)}
+    for name, (scenes, views, seed) in sets.items():
+        run("simgen", "build", "--object", options.object, "--sensor", options.sensor, "--preset", options.data,
+            "--scenes", scenes, "--views", views, "--seed", seed, "-o", out / name)  # fmt: skip
+    run("evalkit", "gt", out / "test", "-o", out / "gt.json")
+
+
+def score_table(out: Path) -> Iterator[str]:
+    """AP of each row, alone and refined."""
+    yield "| | images trained on | AP alone | AP refined |"
+    yield "|---|---|---|---|"
+    for number, (title, training, words) in enumerate(ROWS):
+        cells = []
+        for kind, refine in (("alone", ()), ("refined", ("--refine",))):
+            found = out / f"{number}-{kind}.json"
+            run("posenet", "predict", out / training, out / "test", *words, *refine, "-o", found)
+            cells.append(ap(found, out / "gt.json", LEAST_VISIBILITY))
+        images = json.loads((out / training / "metrics.jsonl").read_text().splitlines()[-1])["images"]
+        yield f"| {title} | {images} | {' | '.join(cells)} |"
+
+
+def task_table(out: Path) -> Iterator[str]:
+    """Median errors of each task, learnt with the others and on its own."""
+    yield "| | centre, px | depth, mm | rotation, Sym mm |"
+    yield "|---|---|---|---|"
+    together = task_errors(out / "small", out / "test")
+    apart = [task_errors(out / f"only-{task}", out / "test")[i] for i, task in enumerate(TASKS)]
+    for title, errors in (("learnt together", together), ("each in a network of its own", apart)):
+        yield f"| {title} | " + " | ".join(f"{error:.2f}" for error in errors) + " |"
+
+
+@torch.no_grad()
+def task_errors(model: Path, shards: Path) -> list[float]:
+    """Median errors of centre (pixels), depth (mm) and rotation (Sym, mm) on the true boxes, in the order of TASKS."""
+    network = load_model(model, torch.device("cpu")).network.eval()
+    frames = Frames(shards)
+    found = [
+        _errors(network, frames, number) for number in tqdm(range(len(frames.dataset)), desc=model.name, disable=None)
+    ]
+    return [float(torch.cat(part).median()) for part in zip(*found, strict=True)]
+
+
+def _errors(network: PoseNetwork, frames: Frames, number: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Errors (n,) of one image's instances."""
+    batch = frames.batch(np.array([number]))
+    seen = batch.visibility[0] >= LEAST_VISIBILITY
+    boxes, truth = batch.boxes[0][seen], batch.poses[0][seen]
+    features, normals = network._features(batch.depth, batch.intrinsics)
+    regions = network._regions(batch.depth, batch.intrinsics, boxes, torch.zeros(len(boxes), dtype=torch.long))
+    regions, truth = regions.select(regions.valid), truth[regions.valid]
+    outputs = network._read(features, normals, batch.depth, regions)
+    labels = network.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
+    sides = regions.windows[:, 2:] - regions.windows[:, :2]
+    centre = ((outputs.offset - labels.offset) * sides).norm(dim=1)
+    rotation, depth, _ = hypotheses._candidates(outputs, network.codec)
+    turned = network.distance.rotation_squared(rotation[:, 0], labels.rotation).sqrt()
+    return centre, 1e3 * (depth[:, 0] - labels.depth).abs(), 1e3 * turned
+
+
+if __name__ == "__main__":
+    main()
