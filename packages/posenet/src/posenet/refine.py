@@ -29,9 +29,9 @@ TOLERANCE = 0.04  # diameters: depth agrees within this
 ITERATIONS = 12
 REACH = (0.12, 0.05)  # diameters: farthest point that ICP draws to, first and last iteration
 SEARCH = ((8, 25.0), (8, 12.0))  # rounds: turns to so many sides, by so many degrees; the first of all hypotheses
-VIOLATION_WEIGHT = 1.0
+VIOLATION_WEIGHT = 0.5
 PRIOR_WEIGHT = 0.1  # of a hypothesis's own score
-HALF_SURE, STEEPNESS = 0.165, 20.0  # the evidence at which half the poses are right, and how fast that changes
+HALF_SURE, STEEPNESS = 0.18, 20.0  # the evidence at which half the poses are right, and how fast that changes
 
 
 @dataclass(frozen=True, eq=False)
