@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 MODEL = Path(__file__).parents[1] / "data" / "models" / "bunny-stereo.pt"
-LEAST_AP = 0.85  # of 0.98 on many more images
+LEAST_AP = 0.9  # of 0.986 on many more images
 
 
 def test_the_shipped_model_finds_bunnies_in_noisy_heaps(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from evalkit import poses
 from evalkit.camera import Camera
+from evalkit.distances import Sym
 from evalkit.objects import ObjectModel, sample_surface_with_normals
 from posenet.depth_evidence import depth_evidence, explained_before
 from posenet.depth_input import surface_normals
@@ -30,8 +31,9 @@ ITERATIONS = 12
 REACH = (0.12, 0.05)  # diameters: farthest point that ICP draws to, first and last iteration
 SEARCH = ((8, 25.0), (8, 12.0))  # rounds: turns to so many sides, by so many degrees; the first of all hypotheses
 VIOLATION_WEIGHT = 0.5
-PRIOR_WEIGHT = 0.1  # of a hypothesis's own score
-HALF_SURE, STEEPNESS = 0.18, 20.0  # the evidence at which half the poses are right, and how fast that changes
+PRIOR_WEIGHT = 0.3  # of a hypothesis's own score
+PRIOR_REACH = 1.5  # of the object's threshold: how far from the hypothesis its score still speaks for a fit
+HALF_SURE, STEEPNESS = 0.25, 16.0  # the evidence at which half the poses are right, and how fast that changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,7 @@ class Refiner:
         if model.vertices is None or model.faces is None:
             raise ValueError("refinement needs the object's mesh")
         self.model = model
+        self.distance = Sym(model)
         self.points, self.normals = sample_surface_with_normals(model.vertices, model.faces, POINTS)
 
     def refine(
@@ -91,9 +94,10 @@ class Refiner:
         """
         if len(cam_from_obj) == 0:
             return RefinedPoses(np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
-        fitting = _Fitting(self, depth, camera, score)
+        hypotheses = np.asarray(cam_from_obj, float)
+        fitting = _Fitting(self, depth, camera, hypotheses, score)
         group = np.arange(len(score)) if detection is None else np.asarray(detection)
-        fits = fitting.fitted(np.asarray(cam_from_obj, float), np.arange(len(score)))
+        fits = fitting.fitted(hypotheses, np.arange(len(score)))
         for sides, degrees in SEARCH:
             turned = turns(fits.cam_from_obj, self.model.centroid, sides, np.radians(degrees))
             fits = fits.joined(fitting.fitted(turned, np.repeat(fits.hypothesis, sides)))
@@ -107,8 +111,11 @@ class Refiner:
 class _Fitting:
     """One image, ready for poses to be fitted to it."""
 
-    def __init__(self, refiner: Refiner, depth: NDArray[np.float32], camera: Camera, score: Array) -> None:
-        self.refiner, self.depth, self.score = refiner, depth, np.asarray(score, float)
+    def __init__(
+        self, refiner: Refiner, depth: NDArray[np.float32], camera: Camera, hypotheses: Array, score: Array
+    ) -> None:
+        self.refiner, self.depth = refiner, depth
+        self.hypotheses, self.score = hypotheses, np.asarray(score, float)
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.normals = observed_normals(depth, self.intrinsics)
 
@@ -122,7 +129,9 @@ class _Fitting:
         agreement, violation = depth_evidence(
             moved, points, normals, self.depth, self.normals, self.intrinsics, TOLERANCE * d
         )
-        evidence = agreement - VIOLATION_WEIGHT * violation + PRIOR_WEIGHT * self.score[hypothesis]
+        strayed = self.refiner.distance(moved, self.hypotheses[hypothesis]) / (PRIOR_REACH * model.threshold)
+        prior = self.score[hypothesis] * np.exp(-0.5 * strayed**2)
+        evidence = agreement - VIOLATION_WEIGHT * violation + PRIOR_WEIGHT * prior
         return _Fits(moved, hypothesis, agreement, violation, evidence)
 
     def verified(self, fits: _Fits) -> NDArray[np.int64]:
