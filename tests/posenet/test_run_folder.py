@@ -96,10 +96,10 @@ def test_the_average_is_what_is_kept_and_the_last_weights_are_what_goes_on(valid
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 30 MB: one checkpoint fits, two do not."""
+    """A disk of 20 MB: one checkpoint fits, two do not."""
     place = tmp_path / "disk"
     place.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=30m", "tmpfs", str(place)], capture_output=True)
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", str(place)], capture_output=True)
     if mounted.returncode:
         pytest.skip("only root can mount a small disk")
     yield place
