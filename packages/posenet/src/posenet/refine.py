@@ -10,7 +10,7 @@ from turns half as large, and then the set is verified, best first: a depth pixe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -47,8 +47,7 @@ class RefinedPoses:
     violation: Array  # (m,) share that the camera looks through
 
 
-@dataclass(frozen=True, eq=False)
-class _Fits:
+class _Fits(NamedTuple):
     """n fitted poses on their way: which hypothesis each began as, and what the image says of it."""
 
     cam_from_obj: Array
@@ -58,12 +57,10 @@ class _Fits:
     evidence: Array
 
     def select(self, rows: NDArray[np.int64]) -> _Fits:
-        parts: tuple[Any, ...] = (self.cam_from_obj, self.hypothesis, self.agreement, self.violation, self.evidence)
-        return _Fits(*(part[rows] for part in parts))
+        return _Fits._make(part[rows] for part in self)
 
     def joined(self, other: _Fits) -> _Fits:
-        names = ("cam_from_obj", "hypothesis", "agreement", "violation", "evidence")
-        return _Fits(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        return _Fits._make(np.concatenate(parts) for parts in zip(self, other, strict=True))
 
 
 class Refiner:
