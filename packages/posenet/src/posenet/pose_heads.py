@@ -92,9 +92,8 @@ class CropBranch(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         layers: list[nn.Module] = []
-        channels, width, size = CROP_CHANNELS, config.crop_widths[0], config.crop_size
-        for level in range(len(config.crop_widths)):
-            width = config.crop_widths[level]
+        channels, size = CROP_CHANNELS, config.crop_size
+        for level, width in enumerate(config.crop_widths):
             if level:
                 layers.append(nn.MaxPool2d(2))
                 size //= 2
