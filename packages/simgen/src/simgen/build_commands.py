@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 
 from simgen.config import PRESETS, BuildConfig, parse_shards
 from simgen.dataset_options import (
+    ObjectChoice,
     camera_options,
     configured,
     dask_option,
@@ -35,11 +37,7 @@ if TYPE_CHECKING:
 @some_shards_option
 @dask_option
 def build_command(
-    source: str,
-    units: str,
-    scale: float,
-    symmetry: str,
-    name: str | None,
+    chosen: ObjectChoice,
     output: Path,
     preset: str,
     workers: int,
@@ -60,7 +58,7 @@ def build_command(
     """
     config = configured(PRESETS[preset](), **options)
     _require_renderer(config)
-    _write_shards(_planned(config, source, units, scale, symmetry, name), output, workers, shards, dask)
+    _write_shards(_planned(config, chosen), output, workers, shards, dask)
 
 
 @click.command("simulate")
@@ -71,11 +69,7 @@ def build_command(
 @shard_options
 @workers_option
 def simulate_command(
-    source: str,
-    units: str,
-    scale: float,
-    symmetry: str,
-    name: str | None,
+    chosen: ObjectChoice,
     output: Path,
     preset: str,
     workers: int,
@@ -88,7 +82,7 @@ def simulate_command(
     """
     from simgen.simulate import simulate
 
-    job = _planned(configured(PRESETS[preset](), **options), source, units, scale, symmetry, name)
+    job = _planned(configured(PRESETS[preset](), **options), chosen)
     start = time.monotonic()
     report = simulate(job, output, workers)
     _warn_of_broken_pools(report.broken_pools)
@@ -147,12 +141,12 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     return job
 
 
-def _planned(config: BuildConfig, source: str, units: str, scale: float, symmetry: str, name: str | None) -> Job:
+def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
     """The job of an object and a config, told to the user."""
     from simgen.meshes import prepare_object  # here, for --help need not wait for numba and PyBullet
     from simgen.scenes import plan
 
-    prepared = prepare_object(source, units=units, scale=scale, symmetry=symmetry, name=name)
+    prepared = prepare_object(**asdict(chosen))
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
     job = plan(config, prepared.model, prepared.convex_parts)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,7 +30,28 @@ def _group(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return decorate
 
 
-object_options = _group(
+@dataclass(frozen=True)
+class ObjectChoice:
+    """Which object, and how its file is to be read: the arguments of :func:`simgen.meshes.prepare_object`."""
+
+    source: str
+    units: str
+    scale: float
+    symmetry: str
+    name: str | None
+
+
+def object_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that choose an object, which reach the command as one `chosen`."""
+
+    @wraps(command)
+    def choosing(*, source: str, units: str, scale: float, symmetry: str, name: str | None, **rest: Any) -> Any:
+        return command(chosen=ObjectChoice(source, units, scale, symmetry, name), **rest)
+
+    return _OBJECT_OPTIONS(choosing)
+
+
+_OBJECT_OPTIONS = _group(
     click.option(
         "--object",
         "source",
