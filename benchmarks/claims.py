@@ -115,16 +115,19 @@ def _errors(network: PoseNetwork, frames: Frames, number: int) -> tuple[Tensor, 
     batch = frames.batch(np.array([number]))
     seen = batch.visibility[0] >= LEAST_VISIBILITY
     boxes, truth = batch.boxes[0][seen], batch.poses[0][seen]
-    features, normals = network._features(batch.depth, batch.intrinsics)
-    regions = network._regions(batch.depth, batch.intrinsics, boxes, torch.zeros(len(boxes), dtype=torch.long))
-    regions, truth = regions.select(regions.valid), truth[regions.valid]
-    outputs = network._read(features, normals, batch.depth, regions)
+    outputs, regions = network.read_boxes(
+        batch.depth, batch.intrinsics, boxes, torch.zeros(len(boxes), dtype=torch.long)
+    )
+    valid = regions.valid
+    outputs, regions, truth = outputs.select(valid), regions.select(valid), truth[valid]
     labels = network.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
     sides = regions.windows[:, 2:] - regions.windows[:, :2]
     centre = ((outputs.offset - labels.offset) * sides).norm(dim=1)
-    rotation, depth, _ = hypotheses._candidates(outputs, network.codec)
-    turned = network.distance.rotation_squared(rotation[:, 0], labels.rotation).sqrt()
-    return centre, 1e3 * (depth[:, 0] - labels.depth).abs(), 1e3 * turned
+    best = hypotheses.generate(
+        outputs, network.codec, network.distance, regions.windows, regions.reference_depth, regions.intrinsics, 1
+    )
+    turned = network.distance.rotation_squared(best.relative, labels.rotation).sqrt()
+    return centre, 1e3 * (best.depth - labels.depth).abs(), 1e3 * turned
 
 
 if __name__ == "__main__":

@@ -150,6 +150,18 @@ class PoseNetwork(nn.Module):
         features, normals = self._features(depth, intrinsics)
         return [self._ranked(scored) for scored in self._score(features, normals, depth, intrinsics)]
 
+    @torch.no_grad()
+    def read_boxes(
+        self, depth: Tensor, intrinsics: Tensor, boxes: Tensor, image_index: Tensor
+    ) -> tuple[PoseOutputs, Regions]:
+        """What the heads say about n boxes (n, 4) of images `image_index` (n,), in eval mode, and the boxes' regions.
+
+        The detector is left out. Regions that are not `valid` have no depth; nothing follows from their outputs.
+        """
+        features, normals = self._features(depth, intrinsics)
+        regions = self._regions(depth, intrinsics, boxes, image_index)
+        return self._read(features, normals, depth, regions), regions
+
     def _model_box(self) -> Tensor:
         """Lowest and highest corner (2, 3) of the object in its canonical frame."""
         surface = self.model.points if self.model.vertices is None else self.model.vertices

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -31,6 +32,7 @@ from posenet.processes import ALONE, Place
 from posenet.provenance import data_hash, git_version, software_versions
 from posenet.run_folder import RunFolder
 from posenet.schedule import Budget, learning_rate_factor
+from posenet.slowdown import Slowdown
 from posenet.targets import Batch
 from posenet.validation import validate
 from posenet.validation_picture import draw_validation
@@ -67,7 +69,7 @@ class Trainer:
         self.average = WeightAverage(self.network, self.config.ema) if self.config.ema > 0 and place.leads else None
         self.step, self.images, self.best_ap, self.finished = 0, 0, -1.0, False
         self.validations: list[dict[str, float]] = []
-        self.history = History()
+        self.history, self.slowdown = History(), Slowdown()
         self.budget = self._budget()
 
     def train(self) -> None:
@@ -254,6 +256,8 @@ class Trainer:
     def _show(self, bar: tqdm[Any]) -> None:
         ap = f", AP {self.validations[-1]['ap']:.3f}" if self.validations else ""
         rate = self.history.rate * self.config.batch_images
+        if sentence := self.slowdown.told(rate):
+            bar.write(sentence, file=sys.stderr)
         bar.n = 100.0 * self.budget.progress(self.step)
         bar.set_postfix_str(f"loss {self.history.mean:.2f}, {self.images} images, {rate:.1f}/s{ap}", refresh=False)
         bar.update(0)
