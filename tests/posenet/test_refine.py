@@ -10,7 +10,7 @@ from evalkit import poses
 from evalkit.camera import Camera
 from evalkit.objects import ObjectModel
 from posenet import refine
-from posenet.depth_evidence import depth_evidence
+from posenet.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
 from posenet.refine import Refiner
 
 CAMERA = Camera(160, 120, 180.0, 180.0, 79.5, 59.5)
@@ -184,3 +184,58 @@ def test_the_evidence_is_that_of_a_plain_reading(scene: tuple[ObjectModel, np.nd
     plain = [plain_evidence(refiner.points, refiner.normals, one, depth, tolerance) for one in some]
     np.testing.assert_allclose(np.stack(found, 1), plain, atol=1e-5)
     assert found[0].max() > 0.5 and found[1].max() > 0.1
+
+
+def plain_shares(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> list[float]:
+    """Share of each pose's support that the poses before it explain, with sets of pixels."""
+    explained: set[tuple[int, int]] = set()
+    shares = []
+    for pose in some:
+        points, normals = poses.apply(pose, refiner.points), refiner.normals @ pose[:3, :3].T
+        pixels = [(int(u), int(v)) for u, v in np.floor(CAMERA.project(points) + 0.5)]
+        support = [
+            (u, v)
+            for (u, v), point, normal in zip(pixels, points, normals, strict=True)
+            if point @ normal < 0
+            and 0 <= u < CAMERA.width
+            and 0 <= v < CAMERA.height
+            and abs(depth[v, u] - point[2]) <= refine.TOLERANCE * refiner.model.diameter
+        ]
+        shares.append(sum(pixel in explained for pixel in support) / len(support) if support else 1.0)
+        if shares[-1] <= ALREADY_EXPLAINED:
+            explained |= {(u + i, v + j) for u, v in support for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    return shares
+
+
+@pytest.fixture(scope="module")
+def row() -> tuple[ObjectModel, np.ndarray, np.ndarray]:
+    """Two wedges in one plane, and a third pose that lies across both."""
+    model, turn = wedge(), poses.from_axis_angle([1.0, 0, 0], 2.9)
+    places = [[-0.035, 0, 0.5], [0.035, 0, 0.5], [0.012, 0, 0.5]]
+    some = np.stack([poses.from_rotation_translation(turn, place) for place in places])
+    return model, some, np.minimum(render(model, some[0]), render(model, some[1]))
+
+
+def test_what_is_explained_already_is_that_of_a_plain_count(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+    model, some, depth = row
+    refiner = Refiner(model)
+    some = np.concatenate([some, disturbed(some[0], np.random.default_rng(4), 20, 0.05, 0.5)])
+    some[7, 0, 3] += 1.0  # beyond the image
+    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+    tolerance = refine.TOLERANCE * model.diameter
+    order = np.array([0, 2, 1, *range(3, len(some))])
+    found = explained_before(some, order, refiner.points, refiner.normals, depth, intrinsics, tolerance)
+    np.testing.assert_allclose(found[order], plain_shares(refiner, some[order], depth), atol=0.03)  # rounding
+    assert found[0] == 0 and found[7] == 1 and 0.1 < found[2] < ALREADY_EXPLAINED
+
+
+def test_a_pixel_speaks_for_one_pose_only(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+    model, some, depth = row
+    fitting = refine._Fitting(Refiner(model), depth, CAMERA, some, np.ones(3))
+    fits = fitting.fitted(some, np.arange(3))._replace(cam_from_obj=some)
+    kept = fitting.verified(fits)
+    assert kept.evidence[0] == fits.evidence.max()
+    evidence = dict(zip(kept.hypothesis.tolist(), kept.evidence, strict=True))
+    assert evidence.keys() >= {0, 1}
+    assert abs(evidence[0] - fits.evidence[0]) < 0.02 and abs(evidence[1] - fits.evidence[1]) < 0.02
+    assert evidence.get(2, 0.0) < fits.evidence[2] - 0.05

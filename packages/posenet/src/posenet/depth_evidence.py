@@ -66,11 +66,14 @@ def depth_evidence(
 def explained_before(
     pose: Any, order: Any, points: Any, normals: Any, depth: Any, intrinsics: Any, tolerance: float
 ) -> Any:
-    """Which poses (n,) have most of their support explained by poses that come earlier in `order`."""
+    """Share of each pose's support (n,) that poses earlier in `order` explain; 1 without any support.
+
+    A pose with more than ALREADY_EXPLAINED of it is a duplicate, which explains nothing to those after it.
+    """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     explained = np.zeros((height, width), np.bool_)
-    duplicate = np.zeros(len(pose), np.bool_)
+    share = np.ones(len(pose))
     pixel = np.empty((len(points), 2), np.int64)
     for i in order:
         rotation, origin = pose[i, :3, :3].copy(), pose[i, :3, 3].copy()
@@ -86,10 +89,11 @@ def explained_before(
             pixel[count, 0], pixel[count, 1] = u, v
             count += 1
             taken += explained[v, u]
-        if taken > ALREADY_EXPLAINED * count or count == 0:
-            duplicate[i] = True
+        if count > 0:
+            share[i] = taken / count
+        if share[i] > ALREADY_EXPLAINED:
             continue
         for k in range(count):
             u, v = pixel[k]
             explained[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2] = True
-    return duplicate
+    return share

@@ -3,8 +3,8 @@
 A network's rotation is often off by more than ICP can mend, most of all where little of an instance is seen. So each
 hypothesis is also started from turns of it to all sides; ICP is cheap. All poses of an image are fitted together. Of
 all fits of a detection the one that the image speaks for most (:mod:`posenet.depth_evidence`) is kept, fitted once more
-from turns half as large, and then the set is verified, best first: a depth pixel is explained once (after Aldoma et al.
-2012, who do so for classical pipelines).
+from turns half as large, and then the set is verified, best first: a depth pixel speaks for one pose only (after Aldoma
+et al. 2012, who do so for classical pipelines).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from evalkit import poses
 from evalkit.camera import Camera
 from evalkit.distances import Sym
 from evalkit.objects import ObjectModel, sample_surface_with_normals
-from posenet.depth_evidence import depth_evidence, explained_before
+from posenet.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
 from posenet.depth_input import surface_normals
 from posenet.icp import icp
 
@@ -99,7 +99,7 @@ class Refiner:
             turned = turns(fits.cam_from_obj, self.model.centroid, sides, np.radians(degrees))
             fits = fits.joined(fitting.fitted(turned, np.repeat(fits.hypothesis, sides)))
             fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis]))
-        fits = fits.select(fitting.verified(fits))
+        fits = fitting.verified(fits)
         return RefinedPoses(
             fits.cam_from_obj, fits.hypothesis, confidence(fits.evidence), fits.agreement, fits.violation
         )
@@ -131,12 +131,14 @@ class _Fitting:
         evidence = agreement - VIOLATION_WEIGHT * violation + PRIOR_WEIGHT * prior
         return _Fits(moved, hypothesis, agreement, violation, evidence)
 
-    def verified(self, fits: _Fits) -> NDArray[np.int64]:
-        """Rows of the poses that explain pixels of their own, best first."""
+    def verified(self, fits: _Fits) -> _Fits:
+        """Best first, without duplicates; agreement with what better poses explain already speaks for none."""
         order = np.argsort(-fits.evidence, kind="stable")
         points, normals, tolerance = self.refiner.points, self.refiner.normals, TOLERANCE * self.refiner.model.diameter
-        duplicate = explained_before(fits.cam_from_obj, order, points, normals, self.depth, self.intrinsics, tolerance)
-        return order[~duplicate[order]]
+        share = explained_before(fits.cam_from_obj, order, points, normals, self.depth, self.intrinsics, tolerance)
+        fits = fits._replace(evidence=fits.evidence - share * fits.agreement)
+        order = np.argsort(-fits.evidence, kind="stable")
+        return fits.select(order[share[order] <= ALREADY_EXPLAINED])
 
 
 def turns(cam_from_obj: Array, center: Array, sides: int, angle: float) -> Array:
