@@ -306,3 +306,13 @@ def test_perfect_deltas_propose_the_boxes_themselves() -> None:
     proposals = head.propose(raw._replace(logits=logits, deltas=deltas))[0]
     overlap = ops.box_iou(boxes, proposals[: len(boxes)])
     torch.testing.assert_close(overlap.amax(1), torch.ones(5))
+
+
+def test_crossing_parts_whose_boxes_overlap_are_two_detections_and_one_part_seen_twice_is_one() -> None:
+    head = HeatmapDetector(64, 8, object_size=26.0)
+    logits = torch.full((1, 4, 8), -9.0)
+    boxes = torch.zeros(1, 4, 8, 4)
+    for cell, box in enumerate([[0, 0, 60, 60], [2, 0, 62, 60], [13, 5, 67, 63]]):  # IoU 0.94 and 0.63 with the first
+        logits[0, 0, cell], boxes[0, 0, cell] = 3.0 - cell, torch.tensor(box).float()
+    (found,) = head.detect(heatmap_detector.HeatmapOutputs(logits, boxes, (64, 128)))
+    assert found.boxes.tolist() == [[0, 0, 60, 60], [13, 5, 67, 63]]

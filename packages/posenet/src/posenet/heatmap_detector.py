@@ -57,7 +57,7 @@ class HeatmapDetector(Detector):
         max_detections: int = 64,
         candidates: int = 256,
         min_score: float = 0.1,
-        nms_iou: float = 0.55,
+        nms_iou: float = 0.65,
         box_weight: float = 0.5,
         norm: str = "batch",
     ) -> None:
@@ -111,6 +111,9 @@ class HeatmapDetector(Detector):
         adjacent cells though their overlap is small: in 64 images of bins of 10-20 bunnies, after 8 minutes of
         training, that lost 3.5 % of the instances at least 20 % visible and 0.8 % of those half visible; this lost
         0.9 % and none.
+
+        Long parts that cross have much the same box: of candlesticks at least half visible, 4.7 % overlap another by an
+        IoU of 0.55, but 0.8 % by 0.65. Two boxes of one instance cost less: registration and refinement know them.
         """
         scores, cells = raw.logits.flatten(1).sigmoid().topk(min(self.candidates, raw.logits[0].numel()))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
