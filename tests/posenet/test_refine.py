@@ -239,3 +239,15 @@ def test_a_pixel_speaks_for_one_pose_only(row: tuple[ObjectModel, np.ndarray, np
     assert evidence.keys() >= {0, 1}
     assert abs(evidence[0] - fits.evidence[0]) < 0.02 and abs(evidence[1] - fits.evidence[1]) < 0.02
     assert evidence.get(2, 0.0) < fits.evidence[2] - 0.05
+
+
+def test_the_best_of_each_group_are_those_of_a_plain_loop() -> None:
+    rng = np.random.default_rng(6)
+    evidence, group = rng.standard_normal(60), rng.integers(0, 9, 60)
+    for count in (1, 2, 9):
+        plain = {
+            int(row)
+            for one in set(group.tolist())
+            for row in sorted(np.nonzero(group == one)[0], key=lambda row: -evidence[row])[:count]
+        }
+        assert sorted(refine._best_of_each(evidence, group, count).tolist()) == sorted(plain)

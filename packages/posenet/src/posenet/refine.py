@@ -1,10 +1,10 @@
 """Poses fitted to the depth image itself: many starts, ICP, evidence from the image, one pose a detection.
 
-A network's rotation is often off by more than ICP can mend, most of all where little of an instance is seen. So each
-hypothesis is also started from turns of it to all sides; ICP is cheap. All poses of an image are fitted together. Of
-all fits of a detection the one that the image speaks for most (:mod:`posenet.depth_evidence`) is kept, fitted once more
-from turns half as large, and then the set is verified, best first: a depth pixel speaks for one pose only (after Aldoma
-et al. 2012, who do so for classical pipelines).
+A network's rotation is often off by more than ICP can mend, most of all where little of an instance is seen. So the
+hypotheses that the image speaks for most (:mod:`posenet.depth_evidence`), two of a detection, are also started from
+turns of them to all sides; ICP is cheap. All poses of an image are fitted together. Of all fits of a detection the best
+is kept, fitted once more from turns half as large, and then the set is verified, best first: a depth pixel speaks for
+one pose only (after Aldoma et al. 2012, who do so for classical pipelines).
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ POINTS = 500
 TOLERANCE = 0.04  # diameters: depth agrees within this
 ITERATIONS = 12
 REACH = (0.12, 0.05)  # diameters: farthest point that ICP draws to, first and last iteration
-SEARCH = ((8, 25.0), (8, 12.0))  # rounds: turns to so many sides, by so many degrees; the first of all hypotheses
+SEARCHED = 2  # hypotheses of a detection that are turned: those that the image speaks for most after one fit
+SEARCH = ((8, 25.0), (8, 12.0))  # rounds: turns to so many sides, by so many degrees; the second of one each
 VIOLATION_WEIGHT = 0.5
 PRIOR_WEIGHT = 0.3  # of a hypothesis's own score
 PRIOR_REACH = 1.5  # of the object's threshold: how far from the hypothesis its score still speaks for a fit
@@ -95,10 +96,11 @@ class Refiner:
         fitting = _Fitting(self, depth, camera, hypotheses, score)
         group = np.arange(len(score)) if detection is None else np.asarray(detection)
         fits = fitting.fitted(hypotheses, np.arange(len(score)))
+        fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis], SEARCHED))
         for sides, degrees in SEARCH:
             turned = turns(fits.cam_from_obj, self.model.centroid, sides, np.radians(degrees))
             fits = fits.joined(fitting.fitted(turned, np.repeat(fits.hypothesis, sides)))
-            fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis]))
+            fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis], 1))
         fits = fitting.verified(fits)
         return RefinedPoses(
             fits.cam_from_obj, fits.hypothesis, confidence(fits.evidence), fits.agreement, fits.violation
@@ -168,7 +170,8 @@ def observed_normals(depth: NDArray[np.float32], intrinsics: Array) -> NDArray[n
     return np.ascontiguousarray(found[0].permute(1, 2, 0).numpy())
 
 
-def _best_of_each(evidence: Array, group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The row with the most evidence (n,) of each group (n,)."""
-    order = np.argsort(-evidence, kind="stable")
-    return order[np.unique(group[order], return_index=True)[1]]
+def _best_of_each(evidence: Array, group: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """The `count` rows with the most evidence (n,) of each group (n,)."""
+    order = np.lexsort((-evidence, group))
+    begin = np.searchsorted(group[order], group[order])
+    return np.asarray(order[np.arange(len(order)) - begin < count])
