@@ -25,6 +25,9 @@ class Detector(nn.Module, ABC):
     an instance too hidden to be asked for: finding it is neither rewarded nor punished.
     """
 
+    nms_iou: float  # of two boxes that overlap by more the worse is dropped
+    max_detections: int  # an image
+
     @abstractmethod
     def forward(self, features: Tensor, image_size: tuple[int, int]) -> Any:
         """Raw outputs from features (B, C, h, w) of images of `image_size` (height, width)."""

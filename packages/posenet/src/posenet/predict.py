@@ -23,7 +23,9 @@ from posenet.model_file import load_model
 from posenet.network import ImagePoses, PoseNetwork
 from posenet.refine import Refiner
 
-REFINED_HYPOTHESES = 200  # an image, the best by the network
+# What refinement is given of an image. It tells two boxes of one instance from two instances, so that it may have both.
+REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
+REFINED_HYPOTHESES = 640  # the best by the network
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class Predictor:
     def __init__(self, network: PoseNetwork, record: dict[str, Any] | None = None, refine: bool = False) -> None:
         self.network, self.record = network.eval(), record or {}
         self.refiner = Refiner(network.model) if refine else None
+        if refine:
+            network.detector.max_detections, network.detector.nms_iou = REFINED_DETECTIONS, REFINED_OVERLAP
         self.device = next(network.parameters()).device
         network.bf16 = supports_bf16(self.device)
 
