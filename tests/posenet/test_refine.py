@@ -10,7 +10,7 @@ from evalkit import poses
 from evalkit.camera import Camera
 from evalkit.objects import ObjectModel
 from posenet import refine
-from posenet.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
+from posenet.depth_evidence import ALREADY_EXPLAINED, FOOTPRINT, depth_evidence, explained_before
 from posenet.refine import Refiner
 
 CAMERA = Camera(160, 120, 180.0, 180.0, 79.5, 59.5)
@@ -122,6 +122,26 @@ def test_an_instance_is_explained_once(scene: tuple[ObjectModel, np.ndarray, np.
     assert len(found.score) == 1
 
 
+@pytest.mark.parametrize("pixels", [1, 4])
+def test_a_surface_is_explained_however_many_pixels_lie_between_two_points(
+    scene: tuple[ObjectModel, np.ndarray, np.ndarray], pixels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fine = Camera(
+        CAMERA.width * pixels, CAMERA.height * pixels, CAMERA.fx * pixels, CAMERA.fy * pixels,
+        (CAMERA.cx + 0.5) * pixels - 0.5, (CAMERA.cy + 0.5) * pixels - 0.5,
+    )  # fmt: skip
+    monkeypatch.setitem(globals(), "CAMERA", fine)
+    model, pose, _ = scene
+    some = np.concatenate([pose[None], disturbed(pose, np.random.default_rng(2), 6, 0.002, np.radians(4))])
+    assert shares(Refiner(model), some, render(model, pose))[1:].min() > 0.8
+
+
+def shares(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+    tolerance, order = refine.TOLERANCE * refiner.model.diameter, np.arange(len(some))
+    return explained_before(some, order, refiner.points, refiner.normals, depth, intrinsics, tolerance, refiner.spacing)
+
+
 def test_a_detection_becomes_one_pose_and_tells_which_hypothesis_it_was(
     scene: tuple[ObjectModel, np.ndarray, np.ndarray],
 ) -> None:
@@ -188,22 +208,28 @@ def test_the_evidence_is_that_of_a_plain_reading(scene: tuple[ObjectModel, np.nd
 
 def plain_shares(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> list[float]:
     """Share of each pose's support that the poses before it explain, with sets of pixels."""
+    tolerance = refine.TOLERANCE * refiner.model.diameter
     explained: set[tuple[int, int]] = set()
     shares = []
     for pose in some:
         points, normals = poses.apply(pose, refiner.points), refiner.normals @ pose[:3, :3].T
-        pixels = [(int(u), int(v)) for u, v in np.floor(CAMERA.project(points) + 0.5)]
+        pixels = np.floor(CAMERA.project(points) + 0.5).astype(int).tolist()
         support = [
-            (u, v)
+            (u, v, point[2])
             for (u, v), point, normal in zip(pixels, points, normals, strict=True)
             if point @ normal < 0
             and 0 <= u < CAMERA.width
             and 0 <= v < CAMERA.height
-            and abs(depth[v, u] - point[2]) <= refine.TOLERANCE * refiner.model.diameter
+            and abs(depth[v, u] - point[2]) <= tolerance
         ]
-        shares.append(sum(pixel in explained for pixel in support) / len(support) if support else 1.0)
-        if shares[-1] <= ALREADY_EXPLAINED:
-            explained |= {(u + i, v + j) for u, v in support for i in (-1, 0, 1) for j in (-1, 0, 1)}
+        shares.append(sum((u, v) in explained for u, v, _ in support) / len(support) if support else 1.0)
+        if shares[-1] > ALREADY_EXPLAINED:
+            continue
+        for u, v, z in support:
+            reach = max(1, round(FOOTPRINT * refiner.spacing * CAMERA.fx / z))
+            window = depth[max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
+            for y, x in np.argwhere(abs(window - z) <= tolerance).tolist():
+                explained.add((x + max(u - reach, 0), y + max(v - reach, 0)))
     return shares
 
 
@@ -221,12 +247,10 @@ def test_what_is_explained_already_is_that_of_a_plain_count(row: tuple[ObjectMod
     refiner = Refiner(model)
     some = np.concatenate([some, disturbed(some[0], np.random.default_rng(4), 20, 0.05, 0.5)])
     some[7, 0, 3] += 1.0  # beyond the image
-    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    tolerance = refine.TOLERANCE * model.diameter
-    order = np.array([0, 2, 1, *range(3, len(some))])
-    found = explained_before(some, order, refiner.points, refiner.normals, depth, intrinsics, tolerance)
-    np.testing.assert_allclose(found[order], plain_shares(refiner, some[order], depth), atol=0.03)  # rounding
-    assert found[0] == 0 and found[7] == 1 and 0.1 < found[2] < ALREADY_EXPLAINED
+    some = some[[0, 2, 1, *range(3, len(some))]]
+    found = shares(refiner, some, depth)
+    np.testing.assert_allclose(found, plain_shares(refiner, some, depth), atol=0.03)  # rounding
+    assert found[0] == 0 and found[7] == 1 and 0.1 < found[1] < ALREADY_EXPLAINED
 
 
 def test_a_pixel_speaks_for_one_pose_only(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:

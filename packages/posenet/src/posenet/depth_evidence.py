@@ -19,7 +19,8 @@ import numpy as np
 from posenet.icp import placed, turned
 
 LEAST_COSINE = 0.5  # of observed and model normal: an agreement beyond 60 degrees is none
-ALREADY_EXPLAINED = 0.5  # a pose with more of its support explained by better poses is a duplicate
+ALREADY_EXPLAINED = 0.65  # a pose with more of its support explained by better poses is a duplicate
+FOOTPRINT = 0.5  # spacings of the points: half the side of the square of pixels that a point explains
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
@@ -64,17 +65,26 @@ def depth_evidence(
 
 @numba.njit(cache=True, fastmath=True)
 def explained_before(
-    pose: Any, order: Any, points: Any, normals: Any, depth: Any, intrinsics: Any, tolerance: float
+    pose: Any,
+    order: Any,
+    points: Any,
+    normals: Any,
+    depth: Any,
+    intrinsics: Any,
+    tolerance: float,
+    spacing: float,
 ) -> Any:
     """Share of each pose's support (n,) that poses earlier in `order` explain; 1 without any support.
 
-    A pose with more than ALREADY_EXPLAINED of it is a duplicate, which explains nothing to those after it.
+    A pose with more than ALREADY_EXPLAINED of it is a duplicate, which explains nothing to those after it. A point
+    explains the pixels about it that are as deep as it is, however many they are: `spacing` is that of the points, in
+    metres.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     explained = np.zeros((height, width), np.bool_)
     share = np.ones(len(pose))
-    pixel = np.empty((len(points), 2), np.int64)
+    pixel, deep = np.empty((len(points), 2), np.int64), np.empty(len(points))
     for i in order:
         rotation, origin = pose[i, :3, :3].copy(), pose[i, :3, 3].copy()
         count = taken = 0
@@ -86,7 +96,7 @@ def explained_before(
             u, v = int(np.floor(fx * p[0] / p[2] + cx + 0.5)), int(np.floor(fy * p[1] / p[2] + cy + 0.5))
             if u < 0 or v < 0 or u >= width or v >= height or abs(depth[v, u] - p[2]) > tolerance:
                 continue
-            pixel[count, 0], pixel[count, 1] = u, v
+            pixel[count, 0], pixel[count, 1], deep[count] = u, v, p[2]
             count += 1
             taken += explained[v, u]
         if count > 0:
@@ -95,5 +105,9 @@ def explained_before(
             continue
         for k in range(count):
             u, v = pixel[k]
-            explained[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2] = True
+            reach = max(1, int(FOOTPRINT * spacing * fx / deep[k] + 0.5))
+            for y in range(max(v - reach, 0), min(v + reach + 1, height)):
+                for x in range(max(u - reach, 0), min(u + reach + 1, width)):
+                    if abs(depth[y, x] - deep[k]) <= tolerance:
+                        explained[y, x] = True
     return share

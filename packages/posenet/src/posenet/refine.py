@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from evalkit import poses
 from evalkit.camera import Camera
 from evalkit.distances import Sym
-from evalkit.objects import ObjectModel, sample_surface_with_normals
+from evalkit.objects import ObjectModel, sample_surface_with_normals, surface_moments
 from posenet.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
 from posenet.depth_input import surface_normals
 from posenet.icp import icp
@@ -77,6 +77,7 @@ class Refiner:
         self.model = model
         self.distance = Sym(model)
         self.points, self.normals = sample_surface_with_normals(model.vertices, model.faces, POINTS)
+        self.spacing = float(np.sqrt(surface_moments(model.vertices, model.faces)[0] / POINTS))
 
     def refine(
         self,
@@ -137,7 +138,9 @@ class _Fitting:
         """Best first, without duplicates; agreement with what better poses explain already speaks for none."""
         order = np.argsort(-fits.evidence, kind="stable")
         points, normals, tolerance = self.refiner.points, self.refiner.normals, TOLERANCE * self.refiner.model.diameter
-        share = explained_before(fits.cam_from_obj, order, points, normals, self.depth, self.intrinsics, tolerance)
+        share = explained_before(
+            fits.cam_from_obj, order, points, normals, self.depth, self.intrinsics, tolerance, self.refiner.spacing
+        )
         fits = fits._replace(evidence=fits.evidence - share * fits.agreement)
         order = np.argsort(-fits.evidence, kind="stable")
         return fits.select(order[share[order] <= ALREADY_EXPLAINED])
