@@ -9,6 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from posenet.mean import Mean
+from posenet.ops import nms
+
+LEAST_SIDE = 1.0  # pixels; a box thinner than this is dropped
 
 
 class Detections(NamedTuple):
@@ -25,6 +28,7 @@ class Detector(nn.Module, ABC):
     an instance too hidden to be asked for: finding it is neither rewarded nor punished.
     """
 
+    min_score: float  # less is no detection
     nms_iou: float  # of two boxes that overlap by more the worse is dropped
     max_detections: int  # an image
 
@@ -45,3 +49,15 @@ class Detector(nn.Module, ABC):
     @abstractmethod
     def detect(self, raw: Any) -> list[Detections]:
         """What is found in each image; without gradient."""
+
+    def thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
+        """Of one image's boxes (n, 4) with scores (n,) the detections: sure enough, and each instance once."""
+        usable = (scores >= self.min_score) & wide_enough(boxes)
+        boxes, scores = boxes[usable], scores[usable]
+        kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
+        return Detections(boxes[kept], scores[kept])
+
+
+def wide_enough(boxes: Tensor) -> Tensor:
+    """Which boxes (n, 4) have sides at all."""
+    return ((boxes[:, 2:] - boxes[:, :2]) >= LEAST_SIDE).all(-1)

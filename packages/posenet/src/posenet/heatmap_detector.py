@@ -16,13 +16,12 @@ from torch import Tensor, nn
 from posenet.detector import Detections, Detector
 from posenet.mean import Mean
 from posenet.normalisation import build_normalisation
-from posenet.ops import clip_boxes, nms
+from posenet.ops import clip_boxes
 
 PRIOR = 0.1  # probability of a centre that an untrained heatmap shows; RetinaNet's start, lest negatives swamp it
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
 REACH = 1  # cells around a centre that learn its box
-LEAST_SIDE = 1.0  # pixels; a box thinner than this is dropped
 
 
 class HeatmapOutputs(NamedTuple):
@@ -118,13 +117,7 @@ class HeatmapDetector(Detector):
         scores, cells = raw.logits.flatten(1).sigmoid().topk(min(self.candidates, raw.logits[0].numel()))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
         boxes = clip_boxes(boxes, *raw.image_size)
-        return [self._thinned(*image) for image in zip(boxes, scores, strict=True)]
-
-    def _thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
-        usable = (scores >= self.min_score) & ((boxes[:, 2:] - boxes[:, :2]) >= LEAST_SIDE).all(-1)
-        boxes, scores = boxes[usable], scores[usable]
-        kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
-        return Detections(boxes[kept], scores[kept])
+        return [self.thinned(*image) for image in zip(boxes, scores, strict=True)]
 
     def _initialise(self) -> None:
         nn.init.kaiming_normal_(self.shared[0].weight, nonlinearity="relu")  # type: ignore[arg-type]

@@ -25,7 +25,6 @@ from posenet.refine import Refiner
 
 # What refinement is given of an image. It tells two boxes of one instance from two instances, so that it may have both.
 REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
-REFINED_HYPOTHESES = 640  # the best by the network
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +123,8 @@ _NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), 0.
 
 def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses, camera: Camera) -> PredictedPoses:
     """The poses fitted to the image: one a detection, without duplicates, scored by what the image says of them."""
-    most = min(len(found.score), REFINED_HYPOTHESES)
-    detection = np.unique(found.boxes[:most], axis=0, return_inverse=True)[1].reshape(-1)  # a detection has one box
-    refined = refiner.refine(depth, camera, found.cam_from_obj[:most], found.score[:most], detection)
+    detection = np.unique(found.boxes, axis=0, return_inverse=True)[1].reshape(-1)  # a detection has one box
+    refined = refiner.refine(depth, camera, found.cam_from_obj, found.score, detection)
     return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[refined.hypothesis], found.time_s)
 
 

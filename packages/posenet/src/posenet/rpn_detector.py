@@ -11,14 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from posenet.detector import Detections, Detector
+from posenet.detector import Detections, Detector, wide_enough
 from posenet.heatmap_detector import cell_centers
 from posenet.mean import Mean
 from posenet.ops import box_iou, clip_boxes, decode_boxes, encode_boxes, nms, roi_align
 
 POSITIVE, NEGATIVE, NEUTRAL = 1, 0, -1
 REFINEMENT_SCALE = (0.1, 0.1, 0.2, 0.2)  # Fast R-CNN's: refinements are small, so that they are learnt in these units
-LEAST_SIDE = 1.0  # pixels; a proposal thinner than this is dropped
 
 
 class RpnOutputs(NamedTuple):
@@ -102,7 +101,7 @@ class RpnDetector(Detector):
         found = []
         for boxes, logit, delta in zip(proposals, logits, deltas, strict=True):
             boxes = clip_boxes(decode_boxes(delta, boxes), *raw.image_size)
-            found.append(self._thinned(boxes, logit.sigmoid()))
+            found.append(self.thinned(boxes, logit.sigmoid()))
         return found
 
     @torch.no_grad()
@@ -114,15 +113,9 @@ class RpnDetector(Detector):
         return [self._proposals_of(*image) for image in zip(boxes, logits, strict=True)]
 
     def _proposals_of(self, boxes: Tensor, logits: Tensor) -> Tensor:
-        usable = ((boxes[:, 2:] - boxes[:, :2]) >= LEAST_SIDE).all(-1)
+        usable = wide_enough(boxes)
         boxes, logits = boxes[usable], logits[usable]
         return boxes[nms(boxes, logits, self.proposal_iou)[: self.proposals]]
-
-    def _thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
-        usable = (scores >= self.min_score) & ((boxes[:, 2:] - boxes[:, :2]) >= LEAST_SIDE).all(-1)
-        boxes, scores = boxes[usable], scores[usable]
-        kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
-        return Detections(boxes[kept], scores[kept])
 
     def _first_stage_losses(
         self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
