@@ -24,15 +24,15 @@ from evalkit import (
     PredictionImage,
     Predictions,
     average_precision,
-    poses,
     read_ground_truth,
     read_predictions,
     write_ground_truth,
     write_predictions,
 )
-from evalkit.adapters import sileane
-from evalkit.distances import Sym, SymToolbox
-from evalkit.objects import ObjectModel
+from evalkit.adapters.sileane import dataset as sileane
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel
+from evalkit.scoring.distances import Sym, SymToolbox
 
 HERE = Path(__file__).resolve().parent
 REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", HERE.parents[1] / "shared" / "reference"))

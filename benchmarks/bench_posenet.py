@@ -25,15 +25,15 @@ import numpy as np
 import torch
 from torch.optim import Optimizer
 
-from evalkit.camera import Camera
-from posenet import losses
+from evalkit.geometry.camera import Camera
 from posenet.config import PRESETS, preset
-from posenet.dataset import Frames
 from posenet.device import supports_bf16
-from posenet.network import PoseNetwork
-from posenet.optimizers import build_optimizers
-from posenet.refine import Refiner
-from posenet.targets import Batch
+from posenet.network import losses
+from posenet.network.pose_network import PoseNetwork
+from posenet.network.targets import Batch
+from posenet.optimizers.build import build_optimizers
+from posenet.refinement.refiner import Refiner
+from posenet.training.dataset import Frames
 
 WARM_UP = 2
 SIMGEN_PRESET = {"paper": "default", "small": "demo", "debug": "demo"}

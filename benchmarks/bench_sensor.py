@@ -17,19 +17,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import poses
-from evalkit.adapters import sileane
-from evalkit.camera import Camera
+from evalkit.adapters.sileane import dataset as sileane
+from evalkit.drawing.overlays import shade
+from evalkit.drawing.plots import new_figure, save
 from evalkit.errors import InputError
-from evalkit.mesh_files import load_object
-from evalkit.objects import ObjectModel
-from evalkit.overlays import shade
-from evalkit.plots import new_figure, save
-from simgen.builtin_objects import BUILTIN_OBJECTS
+from evalkit.geometry import poses
+from evalkit.geometry.camera import Camera
+from evalkit.meshes.load import load_object
+from evalkit.objects.model import ObjectModel
 from simgen.config import default_camera
-from simgen.rasterizer import Rasterizer, Rendering
-from simgen.sensor import measure
-from simgen.sensor_config import SensorConfig, parse_sensor
+from simgen.objects.builtin import BUILTIN_OBJECTS
+from simgen.rendering.rasterizer import Rasterizer, Rendering
+from simgen.sensors.config import SensorConfig, parse_sensor
+from simgen.sensors.sensor import measure
 
 REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", Path(__file__).resolve().parents[2] / "shared" / "reference"))
 SLOPES = ((0, 31), (31, 45), (45, 60), (60, 72))  # degrees

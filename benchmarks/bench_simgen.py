@@ -23,20 +23,20 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from evalkit import poses
+from evalkit.datasets.scene import Scene, View
+from evalkit.datasets.shard_writer import ShardWriter
 from evalkit.errors import InputError
-from evalkit.objects import ObjectModel
-from evalkit.scene import Scene, View
-from evalkit.shards import ShardWriter
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel
 from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
-from simgen.bin import bin_mesh
 from simgen.config import default
-from simgen.labels import label_instances, quantised
-from simgen.meshes import prepare_object
-from simgen.renderers import DepthRenderer, depth_renderer
-from simgen.scenes import Job, plan, simulate_scene
-from simgen.sensor import measure, sensor_generator
-from simgen.sensor_config import SensorConfig, stereo
+from simgen.objects.prepare import prepare_object
+from simgen.physics.bin import bin_mesh
+from simgen.rendering.labels import label_instances, quantised
+from simgen.rendering.renderers import DepthRenderer, depth_renderer
+from simgen.scenes.job import Job, plan, simulate_scene
+from simgen.sensors.config import SensorConfig, stereo
+from simgen.sensors.sensor import measure, sensor_generator
 
 SCENES, VIEWS, CORES = 2000, 17, 2  # what is projected to: the paper's set
 COPIED_MB = 64

@@ -21,11 +21,11 @@ from tqdm import tqdm
 
 from accuracy import TEST_SEED, TRAIN_SEED, ap
 from commands import run
-from posenet import hypotheses
 from posenet.config import TASKS
-from posenet.dataset import Frames
-from posenet.model_file import load_model
-from posenet.network import PoseNetwork
+from posenet.models.model_file import load_model
+from posenet.network import hypotheses
+from posenet.network.pose_network import PoseNetwork
+from posenet.training.dataset import Frames
 
 TRAININGS: dict[str, tuple[str, ...]] = {
     "small": (),

@@ -27,25 +27,25 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from evalkit.breakdown import by_visibility
-from evalkit.command import EXIT_BAD_INPUT
-from evalkit.distances import Sym
-from evalkit.documents import GroundTruth, PredictionImage, Predictions
+from evalkit.commands.group import EXIT_BAD_INPUT
+from evalkit.datasets.documents import GroundTruth, PredictionImage, Predictions
+from evalkit.datasets.ground_truth import image as labelled_image
+from evalkit.datasets.scene import Instances
+from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
-from evalkit.evaluation import Subject, require_same_subject
-from evalkit.ground_truth import image as labelled_image
-from evalkit.objects import ObjectModel
-from evalkit.rules import Settings
-from evalkit.scene import Instances
-from evalkit.shards import ShardDataset
-from posenet.any_camera import trained_grid
-from posenet.bins import Bins
-from posenet.detector import Detections, Detector
-from posenet.network import PoseNetwork
-from posenet.ops import box_iou
-from posenet.pose_heads import PoseOutputs
-from posenet.predict import PredictedPoses, Predictor
-from posenet.regions import Regions
+from evalkit.objects.model import ObjectModel
+from evalkit.scoring.breakdown import by_visibility
+from evalkit.scoring.distances import Sym
+from evalkit.scoring.evaluation import Subject, require_same_subject
+from evalkit.scoring.rules import Settings
+from posenet.coding.bins import Bins
+from posenet.detectors.base import Detections, Detector
+from posenet.layers.ops import box_iou
+from posenet.network.pose_heads import PoseOutputs
+from posenet.network.pose_network import PoseNetwork
+from posenet.network.regions import Regions
+from posenet.prediction.any_camera import trained_grid
+from posenet.prediction.predictor import PredictedPoses, Predictor
 
 POSE_STAGES = ("centre", "depth", "rotation")
 STAGES = ("boxes", *POSE_STAGES, "ranking")

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from evalkit import poses
+from evalkit.geometry import poses
 from simgen.config import PhysicsConfig
-from simgen.physics import Body, World
-from simgen.scenes import Job
+from simgen.physics.pile import Body, World
+from simgen.scenes.job import Job
 
 Array = NDArray[np.float64]
 SECONDS_AFTERWARDS = 2.0

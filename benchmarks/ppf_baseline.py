@@ -26,16 +26,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.camera import Camera
-from evalkit.command import EXIT_BAD_INPUT
-from evalkit.documents import GroundTruth, PredictionImage, Predictions
+from evalkit.commands.group import EXIT_BAD_INPUT
+from evalkit.datasets.documents import GroundTruth, PredictionImage, Predictions
+from evalkit.datasets.ground_truth import image as labelled_image
+from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
-from evalkit.evaluation import average_precision
-from evalkit.ground_truth import image as labelled_image
-from evalkit.objects import ObjectModel, sample_surface_with_normals
-from evalkit.shards import ShardDataset
-from posenet.predict import Predictor
-from posenet.refine import Refiner, observed_normals
+from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel, sample_surface_with_normals
+from evalkit.scoring.evaluation import average_precision
+from posenet.prediction.predictor import Predictor
+from posenet.refinement.refiner import Refiner, observed_normals
 
 Array = NDArray[np.float64]
 REQUIREMENTS = ("opencv-contrib-python-headless>=4.8", "numpy>=1.26")

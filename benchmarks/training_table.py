@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from posenet import losses
-from posenet.dataset import Frames
 from posenet.device import choose_device, supports_bf16
-from posenet.model_file import load_model
-from posenet.network import PoseNetwork
+from posenet.models.model_file import load_model
+from posenet.network import losses
+from posenet.network.pose_network import PoseNetwork
+from posenet.training.dataset import Frames
 
 SIDES = {"cuda": 8192, "cpu": 2048}  # of the matrices
 

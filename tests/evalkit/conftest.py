@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from evalkit import GroundTruth, GroundTruthImage, PredictionImage, Predictions, poses
-from evalkit.objects import ObjectModel
-from evalkit.symmetry import Symmetry
+from evalkit import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel
+from evalkit.objects.symmetry import Symmetry
 
 FINITE = ("none", "cyclic:2", "cyclic:5", "dihedral:3", "tetrahedral", "octahedral")
 SYMMETRIES = (*FINITE, "revolution", "revolution-flip", "sphere")

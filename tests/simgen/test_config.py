@@ -24,7 +24,7 @@ from simgen.config import (
     parse_range,
     sileane,
 )
-from simgen.sensor_config import stereo
+from simgen.sensors.config import stereo
 
 
 def test_the_default_is_the_papers() -> None:

@@ -12,7 +12,7 @@ import pytest
 from evalkit.errors import InputError
 from simgen.config import PRESETS, BinSize, debug
 from simgen.config_json import config_from_json
-from simgen.sensor_config import SENSORS
+from simgen.sensors.config import SENSORS
 
 
 @pytest.mark.parametrize("preset", PRESETS)

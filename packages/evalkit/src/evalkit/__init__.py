@@ -1,6 +1,6 @@
 """Poses, cameras, symmetry, datasets on disk, and how good a prediction is."""
 
-from evalkit.documents import (
+from evalkit.datasets.documents import (
     GroundTruth,
     GroundTruthImage,
     PredictionImage,
@@ -11,7 +11,7 @@ from evalkit.documents import (
     write_predictions,
 )
 from evalkit.errors import InputError
-from evalkit.evaluation import Result, average_precision
+from evalkit.scoring.evaluation import Result, average_precision
 
 __all__ = [
     "GroundTruth",

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from posenet.predict import Predictor
+    from posenet.prediction.predictor import Predictor
 
 
 def load(model: Path | str, device: str = "auto", refine: bool = False) -> Predictor:
@@ -23,6 +23,6 @@ def load(model: Path | str, device: str = "auto", refine: bool = False) -> Predi
     Raises:
         InputError: there is no usable model, or no such device.
     """
-    from posenet.predict import Predictor
+    from posenet.prediction.predictor import Predictor
 
     return Predictor.load(model, device, refine)

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from evalkit.camera import Camera
+from evalkit.datasets.shard_format import COMPRESSIONS
 from evalkit.errors import InputError
-from evalkit.shards import COMPRESSIONS
-from simgen.sensor_config import SensorConfig
+from evalkit.geometry.camera import Camera
+from simgen.sensors.config import SensorConfig
 
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
 RENDERERS = ("cpu", "pyrender")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from evalkit.camera import Camera
 from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
 from simgen.config import BinSize, BuildConfig, PhysicsConfig, PileConfig, ViewpointConfig
-from simgen.sensor_config import SensorConfig
+from simgen.sensors.config import SensorConfig
 
 T = TypeVar("T")
 PARTS: dict[str, type[Any]] = {

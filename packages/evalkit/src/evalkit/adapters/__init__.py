@@ -14,22 +14,22 @@ from typing import Any
 from evalkit.errors import InputError
 
 GROUND_TRUTH = {
-    "shards": "evalkit.ground_truth:read_ground_truth",
+    "shards": "evalkit.datasets.ground_truth:read_ground_truth",
     "sileane": "evalkit.adapters.sileane:read_ground_truth",
     "bop": "evalkit.adapters.bop:read_ground_truth",
     "icvl": "evalkit.adapters.icvl:read_ground_truth",
     "ipa": "evalkit.adapters.ipa:read_ground_truth",
 }
 PREDICTIONS = {
-    "binpose": "evalkit.documents:read_predictions",
-    "shards": "evalkit.ground_truth:read_predictions",
+    "binpose": "evalkit.datasets.documents:read_predictions",
+    "shards": "evalkit.datasets.ground_truth:read_predictions",
     "sileane": "evalkit.adapters.sileane:read_predictions",
     "bop": "evalkit.adapters.bop_results:read_predictions",
     "icvl": "evalkit.adapters.icvl:read_predictions",
     "ipa": "evalkit.adapters.ipa:read_predictions",
 }
 WRITERS = {
-    "binpose": "evalkit.documents:write_predictions",
+    "binpose": "evalkit.datasets.documents:write_predictions",
     "bop": "evalkit.adapters.bop_results:write_predictions",
     "sileane": "evalkit.adapters.sileane:write_predictions",
 }

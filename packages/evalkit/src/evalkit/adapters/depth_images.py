@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path, write_json
-from evalkit.camera import Camera
 from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
 
 DEPTH_UNIT = 1e-4  # metres a step of what is written; the farthest is 6.55 m
 HIGHEST = np.iinfo(np.uint16).max

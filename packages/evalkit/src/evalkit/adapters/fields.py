@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evalkit import poses
-from evalkit.documents import FARTHEST, ROTATION_TOLERANCE
+from evalkit.datasets.documents import FARTHEST, ROTATION_TOLERANCE
 from evalkit.errors import InputError
+from evalkit.geometry import poses
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from evalkit.adapters.depth_images import DepthImage, read_raw_depth
 from evalkit.adapters.fields import checked_poses, image_id
 from evalkit.adapters.visibility import SYNTAX, Visibility
-from evalkit.camera import Camera
-from evalkit.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
 from evalkit.errors import InputError
-from evalkit.mesh_files import load_object
+from evalkit.geometry.camera import Camera
+from evalkit.meshes.load import load_object
 
 Array = NDArray[np.float64]
 CAMERA = Camera(640, 480, 550.0, 540.0, 316.0, 244.0)

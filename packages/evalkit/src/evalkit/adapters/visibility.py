@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import poses
 from evalkit.adapters.fields import numbers
-from evalkit.camera import Camera
-from evalkit.documents import load_json
+from evalkit.datasets.documents import load_json
 from evalkit.errors import InputError
-from evalkit.objects import ObjectModel, sample_surface, surface_moments
+from evalkit.geometry import poses
+from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel, sample_surface, surface_moments
 
 Array = NDArray[np.float64]
 SYNTAX = "--visibility depth (estimated from the depth images), full (all of every instance) or FILE.json"

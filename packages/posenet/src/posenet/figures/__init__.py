@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.drawing.plots import save
 from evalkit.errors import InputError
-from evalkit.plots import save
-from evalkit.shards import ShardDataset
 from posenet.figures.bins import draw_bins
 from posenet.figures.hypotheses import draw_hypotheses
 from posenet.figures.looked_at import look_at
 from posenet.figures.relations import draw_relations
-from posenet.network import PoseNetwork
+from posenet.network.pose_network import PoseNetwork
 
 
 def draw_figures(network: PoseNetwork, shards: Path, out: Path, frame: int = 0) -> list[Path]:

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from evalkit import poses
+from evalkit.drawing.plots import INK, new_figure
 from evalkit.errors import InputError
-from evalkit.objects import ObjectModel, sample_surface_with_normals
-from evalkit.plots import INK, new_figure
-from posenet import euler
-from posenet.bins import Bins
-from posenet.network import PoseNetwork
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel, sample_surface_with_normals
+from posenet.coding import euler
+from posenet.coding.bins import Bins
+from posenet.network.pose_network import PoseNetwork
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

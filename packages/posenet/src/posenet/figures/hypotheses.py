@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.plots import INK, new_figure
-from posenet.bins import Bins
+from evalkit.drawing.plots import INK, new_figure
+from posenet.coding.bins import Bins
 from posenet.figures.looked_at import COLORS, SCALE, LookedAt
 
 if TYPE_CHECKING:

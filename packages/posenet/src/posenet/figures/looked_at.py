@@ -9,16 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from evalkit.datasets.scene import View
+from evalkit.drawing.overlays import draw_poses, shade
 from evalkit.errors import InputError
-from evalkit.overlays import draw_poses, shade
-from evalkit.scene import View
-from posenet import euler
-from posenet.any_camera import pad_to_multiple
-from posenet.dataset import intrinsics_of
-from posenet.detector import Detections
-from posenet.hypotheses import Hypotheses
-from posenet.network import PoseNetwork
-from posenet.pose_heads import PoseOutputs
+from posenet.coding import euler
+from posenet.detectors.base import Detections
+from posenet.network.depth_input import intrinsics_of
+from posenet.network.hypotheses import Hypotheses
+from posenet.network.pose_heads import PoseOutputs
+from posenet.network.pose_network import PoseNetwork
+from posenet.prediction.any_camera import pad_to_multiple
 
 # Rank of a hypothesis in its detection to a colour, RGB; told apart by the colour-blind too (Wong 2011).
 COLORS = ((0, 158, 115), (230, 159, 0), (86, 180, 233), (204, 121, 167), (240, 228, 66))

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from evalkit.plots import INK, new_figure
+from evalkit.drawing.plots import INK, new_figure
 from posenet.figures.looked_at import SCALE, LookedAt
-from posenet.registration import RELATION_NAMES, HypothesisSet, Relations, relation_features
+from posenet.network.registration import RELATION_NAMES, HypothesisSet, Relations, relation_features
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

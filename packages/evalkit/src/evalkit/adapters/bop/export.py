@@ -1,0 +1,174 @@
+"""Our frames as a dataset of the BOP benchmark (Hodaň et al. 2018), which :mod:`evalkit.adapters.bop` reads back.
+
+::
+
+    camera.json  test_targets_bop19.json
+    models/, models_eval/       obj_000001.ply in millimetres, models_info.json with the symmetries
+    SPLIT/SSSSSS/               scene_gt.json, scene_gt_info.json, scene_camera.json
+    SPLIT/SSSSSS/depth/         VVVVVV.png, the stored steps; scene_camera.json says how many millimetres one is
+    SPLIT/SSSSSS/mask/          VVVVVV_NNNNNN.png, whole silhouettes within the frame; mask_visib/: what is seen of them
+
+S counts scenes, V views of a scene, N instances of a view. Visible is what has a depth return, so that the counts, the
+masks and our visibility agree; bop_toolkit's own script would count some holes of the depth image as visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import cdist
+
+from evalkit.adapters.bop.object import METRES
+from evalkit.adapters.depth_images import write_png
+from evalkit.atomic import write_json
+from evalkit.datasets.scene import View
+from evalkit.errors import InputError
+from evalkit.geometry import poses
+from evalkit.geometry.camera import Camera
+from evalkit.meshes.ply import write_ply
+from evalkit.objects.model import ObjectModel
+from evalkit.objects.symmetry import Symmetry
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Silhouettes = Callable[[View], Iterable[Mask]]
+OBJECT_ID = 1
+TARGET_VISIBILITY = 0.1  # BOP looks for instances that are at least so visible
+NOWHERE = [-1, -1, -1, -1]  # the box of what has no pixel
+ROWS_AT_ONCE = 500
+
+
+def write_dataset_files(dataset: Path, model: ObjectModel, camera: Camera, depth_unit: float) -> None:
+    """Write what all scenes share: camera.json and the object, once to look at and once to compute errors on.
+
+    Raises:
+        InputError: the object has no mesh.
+    """
+    if model.vertices is None or model.faces is None:
+        raise InputError(f"object '{model.name}' has no mesh, and BOP knows no object without one.")
+    intrinsics = {key: value for key, value in camera.to_json().items() if key not in ("width", "height")}
+    size = {"width": camera.width, "height": camera.height}
+    write_json(dataset / "camera.json", intrinsics | size | {"depth_scale": depth_unit / METRES}, indent=2)
+    used = model.vertices[np.unique(model.faces)] / METRES
+    info = _extent(used) | _symmetries(model.symmetry, model.centroid / METRES)
+    normals = _vertex_normals(model.vertices, model.faces)
+    for name in ("models", "models_eval"):
+        write_ply(dataset / name / f"obj_{OBJECT_ID:06d}.ply", model.vertices / METRES, model.faces, normals)
+        write_json(dataset / name / "models_info.json", {str(OBJECT_ID): info}, indent=2)
+
+
+def write_scene(folder: Path, views: Iterable[View], silhouettes: Silhouettes) -> None:
+    """Write one scene's images, masks and labels into the new folder `folder`.
+
+    Args:
+        silhouettes: gives each instance's whole silhouette within the frame, (height, width), in the labels' order.
+    """
+    for name in ("depth", "mask", "mask_visib"):
+        (folder / name).mkdir(parents=True)
+    gt: dict[str, Any] = {}
+    info: dict[str, Any] = {}
+    cameras: dict[str, Any] = {}
+    for view in views:
+        number, key = view.view_index, str(view.view_index)
+        write_png(folder / "depth" / f"{number:06d}.png", view.depth_raw)
+        gt[key] = [
+            _pose(pose, "cam_R_m2c", "cam_t_m2c") | {"obj_id": OBJECT_ID} for pose in view.instances.cam_from_obj
+        ]
+        cameras[key] = {
+            "cam_K": view.camera.matrix.ravel().tolist(),
+            "depth_scale": view.depth_unit / METRES,
+            **_pose(view.cam_from_world, "cam_R_w2c", "cam_t_w2c"),
+        }
+        info[key] = []
+        returns = view.depth_raw > 0
+        for row, silhouette in enumerate(silhouettes(view)):
+            visible = (view.instance_id == view.instances.instance[row] + 1) & returns
+            name = f"{number:06d}_{row:06d}.png"
+            write_png(folder / "mask" / name, silhouette * np.uint8(255))
+            write_png(folder / "mask_visib" / name, visible * np.uint8(255))
+            info[key].append(_instance_info(view, row, int((silhouette & returns).sum())))
+    for name, document in (("scene_gt", gt), ("scene_gt_info", info), ("scene_camera", cameras)):
+        write_json(folder / f"{name}.json", document)
+
+
+def write_targets(path: Path, counted: Iterable[tuple[int, int, Array]]) -> None:
+    """Write test_targets_bop19.json: how many instances there are to find in each image that shows any.
+
+    Args:
+        counted: scene, view and the visibility (n,) of its instances.
+    """
+    rows = [
+        {"im_id": view, "inst_count": count, "obj_id": OBJECT_ID, "scene_id": scene}
+        for scene, view, visibility in counted
+        if (count := int((np.asarray(visibility) >= TARGET_VISIBILITY).sum()))
+    ]
+    write_json(path, rows)
+
+
+def _pose(pose: Array, rotation: str, translation: str) -> dict[str, list[float]]:
+    return {rotation: pose[:3, :3].ravel().tolist(), translation: (pose[:3, 3] / METRES).tolist()}
+
+
+def _instance_info(view: View, row: int, pixels_valid: int) -> dict[str, Any]:
+    labels = view.instances
+    return {
+        "bbox_obj": _box(labels.box_full[row]),
+        "bbox_visib": _box(labels.box_visible[row]),
+        "px_count_all": int(labels.pixels_full[row]),
+        "px_count_valid": pixels_valid,
+        "px_count_visib": int(labels.pixels_visible[row]),
+        "visib_fract": float(labels.visibility[row]),
+    }
+
+
+def _box(box: NDArray[np.int32]) -> list[int]:
+    """x0, y0, x1, y1, half-open, to x, y, width, height."""
+    x0, y0, x1, y1 = box.tolist()
+    return [x0, y0, x1 - x0, y1 - y0] if x1 > x0 else list(NOWHERE)
+
+
+def _extent(vertices: Array) -> dict[str, float]:
+    """The box of vertices (n, 3), and BOP's diameter, the largest distance of two of them."""
+    low, size = vertices.min(0), np.ptp(vertices, axis=0)
+    box = {f"min_{axis}": float(low[i]) for i, axis in enumerate("xyz")}
+    box |= {f"size_{axis}": float(size[i]) for i, axis in enumerate("xyz")}
+    return {"diameter": _largest_distance(vertices), **box}
+
+
+def _symmetries(symmetry: Symmetry, center: Array) -> dict[str, Any]:
+    """The group as motions of the model's frame, millimetres: the discrete ones without the identity, the axes."""
+    if symmetry.kind == "sphere":
+        axes, discrete = np.eye(3)[:2], np.zeros((0, 3, 3))  # two axes generate all rotations
+    else:
+        axes = symmetry.axis[None] if symmetry.kind == "revolution" else np.zeros((0, 3))
+        discrete = symmetry.rotations[1:]
+    motions = poses.from_rotation_translation(discrete, center - discrete @ center)
+    stated: dict[str, Any] = {}
+    if len(motions):
+        stated["symmetries_discrete"] = motions.reshape(-1, 16).tolist()
+    if len(axes):
+        stated["symmetries_continuous"] = [{"axis": axis.tolist(), "offset": center.tolist()} for axis in axes]
+    return stated
+
+
+def _largest_distance(points: Array) -> float:
+    """Between any two of `points` (n, 3); those of their convex hull will do."""
+    with suppress(QhullError):  # they are flat
+        points = points[ConvexHull(points).vertices]
+    chunks = range(0, len(points), ROWS_AT_ONCE)
+    return max(float(cdist(points[start : start + ROWS_AT_ONCE], points).max()) for start in chunks)
+
+
+def _vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """Unit normals (V, 3): the means of the adjoining faces', weighted by their area; z where there is no face."""
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sums = np.stack([np.bincount(faces.ravel(), np.repeat(across[:, i], 3), len(vertices)) for i in range(3)], -1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1.0), [0.0, 0.0, 1.0])

@@ -1,0 +1,1 @@
+"""The `evalkit` command, and how all three commands meet the user."""

@@ -1,0 +1,381 @@
+"""gt.json and preds.json: what was there, and what somebody says was there.
+
+``binpose-gt/1``::
+
+    {"format", "frame", "object": {...}, "images": [{"id", "camera", "instances": [{"R", "t", "visibility"}]}]}
+
+``binpose-preds/1``::
+
+    {"format", "frame", "object": name or {"name", "diameter"},
+     "images": [{"id", "time_s", "hypotheses": [{"R", "t", "score"}]}]}
+
+R (3x3) and t (metres) are ``cam_from_obj``. "frame" is "camera" (the default) or "world"; "world" says that an adapter
+knew no camera and left the poses as they were published, ``world_from_obj``. Unknown fields are let pass.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.atomic import atomic_path
+from evalkit.errors import InputError
+from evalkit.geometry import poses
+from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel
+
+Array = NDArray[np.float64]
+GT_FORMAT = "binpose-gt/1"
+PREDS_FORMAT = "binpose-preds/1"
+FRAMES = ("camera", "world")
+ROTATION_TOLERANCE = 5e-3  # published matrices are rounded to as few as three digits
+LARGEST = 1e9  # seconds or metres; the integers that JSON may hold are no floats beyond 1e308
+FARTHEST = 50.0  # metres; a bin-picking camera looks at nothing beyond, but millimetres read as metres lie there
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruthImage:
+    """The n instances of one image.
+
+    Attributes:
+        cam_from_obj: (n, 4, 4), metres.
+        visibility: (n,) visible share of each silhouette, 0 to 1.
+    """
+
+    id: str
+    camera: Camera | None
+    cam_from_obj: Array
+    visibility: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """A gt.json; `source` names it in messages, `remarks` say in sentences what its reader had to assume."""
+
+    object: ObjectModel
+    images: list[GroundTruthImage]
+    frame: str = "camera"
+    source: str = "the ground truth"
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionImage:
+    """The n hypotheses on one image.
+
+    Attributes:
+        cam_from_obj: (n, 4, 4), metres.
+        score: (n,) higher is surer, on any scale.
+        time_s: seconds spent on the image, where known.
+    """
+
+    id: str
+    cam_from_obj: Array
+    score: Array
+    time_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """A preds.json; `object` is the object's name or a document with "name" and perhaps "diameter"."""
+
+    object: dict[str, Any] | str
+    images: list[PredictionImage]
+    frame: str = "camera"
+    source: str = "the predictions"
+
+    @property
+    def object_name(self) -> str:
+        return self.object if isinstance(self.object, str) else str(self.object["name"])
+
+
+class _Rows(NamedTuple):
+    """Instances or hypotheses of one image as arrays."""
+
+    rotation: Array  # (n, 3, 3)
+    translation: Array  # (n, 3)
+    value: Array  # (n,) visibility or score
+
+
+class _Layout(NamedTuple):
+    """What differs between the two documents."""
+
+    format: str
+    rows: str
+    row: str
+    value: str
+
+
+_GT = _Layout(GT_FORMAT, "instances", "instance", "visibility")
+_PREDS = _Layout(PREDS_FORMAT, "hypotheses", "hypothesis", "score")
+
+
+def read_ground_truth(path: Path | str) -> GroundTruth:
+    """Read a gt.json.
+
+    Raises:
+        InputError: it is no valid document; the sentence names file, image and field.
+        OSError: the file cannot be read.
+    """
+    document = _read(path, _GT)
+    model = ObjectModel.from_json(document.get("object"), f"{path}: object")
+    entries = _entries(path, document, _GT)
+    if not entries:
+        raise InputError(f"{path}: the list 'images' is empty; there is nothing to evaluate on.")
+    ids, rows = [entry["id"] for entry in entries], [entry["instances"] for entry in entries]
+    bad = [i for i, row in enumerate(rows) if not ((row.value >= -1e-6) & (row.value <= 1 + 1e-6)).all()]
+    if bad:
+        raise InputError(f"{path}: image '{ids[bad[0]]}': every 'visibility' must lie between 0 and 1.")
+    cameras = [_camera(path, entry) for entry in entries]
+    images = [
+        GroundTruthImage(*parts)
+        for parts in zip(ids, cameras, _poses(_places(path, ids), rows, _GT), _values(rows), strict=True)
+    ]
+    return GroundTruth(model, images, _frame(path, document), str(path))
+
+
+def read_predictions(path: Path | str) -> Predictions:
+    """Read a preds.json.
+
+    Raises:
+        InputError: it is no valid document; the sentence names file, image and field.
+        OSError: the file cannot be read.
+    """
+    document = _read(path, _PREDS)
+    entries = _entries(path, document, _PREDS)
+    ids, rows = [entry["id"] for entry in entries], [entry["hypotheses"] for entry in entries]
+    times = [_time(path, entry) for entry in entries]
+    images = [
+        PredictionImage(*parts)
+        for parts in zip(ids, _poses(_places(path, ids), rows, _PREDS), _values(rows), times, strict=True)
+    ]
+    return Predictions(_object_reference(path, document.get("object")), images, _frame(path, document), str(path))
+
+
+def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
+    """Write a gt.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
+    head = {"format": GT_FORMAT, "frame": truth.frame, "object": truth.object.to_json()}
+    lines = (
+        {
+            "id": image.id,
+            "camera": None if image.camera is None else image.camera.to_json(),
+            "instances": row_dicts(image.cam_from_obj, image.visibility, "visibility"),
+        }
+        for image in truth.images
+    )
+    _write(path, head, lines)
+
+
+def write_predictions(path: Path | str, predictions: Predictions) -> None:
+    """Write a preds.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
+    head = {"format": PREDS_FORMAT, "frame": predictions.frame, "object": predictions.object}
+    lines = (
+        {"id": image.id, "time_s": image.time_s, "hypotheses": row_dicts(image.cam_from_obj, image.score, "score")}
+        for image in predictions.images
+    )
+    _write(path, head, lines)
+
+
+def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
+    """A list of ``{"R", "t", value_field}`` of anybody's to poses (n, 4, 4) and values (n,), checked like our own.
+
+    Raises:
+        InputError: an entry lacks a field, or holds what is no rotation or no number of metres.
+    """
+    layout = _Layout("", "list of poses", "entry", value_field)
+    arrays = _to_arrays(rows, layout) if isinstance(rows, list) else None
+    if arrays is None:
+        raise InputError(f"{where}: {_first_fault(rows, layout)}")
+    return _poses([where], [arrays], layout)[0], arrays.value
+
+
+def load_json(path: Path | str, object_hook: Any = None) -> Any:
+    """Parse a JSON file of anybody's.
+
+    Raises:
+        InputError: it is not UTF-8, truncated, not JSON, or nested too deep.
+        OSError: the file cannot be read.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")  # some editors write a byte order mark
+        return json.loads(text, object_hook=object_hook)
+    except RecursionError:
+        raise InputError(f"{path}: the JSON is nested too deep to be a document of ours.") from None
+    except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
+        raise InputError(f"{path}: not a valid JSON file ({error}); is it truncated?") from None
+
+
+def _read(path: Path | str, layout: _Layout) -> dict[str, Any]:
+    def compact(entry: dict[str, Any]) -> dict[str, Any]:
+        """Turn an image's rows into arrays while the file is parsed: a tenth of the memory."""
+        rows = entry.get(layout.rows)
+        if isinstance(rows, list) and "id" in entry:
+            arrays = _to_arrays(rows, layout)
+            entry[layout.rows] = rows if arrays is None else arrays
+        return entry
+
+    document = load_json(path, compact)
+    if not isinstance(document, dict) or document.get("format") != layout.format:
+        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise InputError(f"{path}: 'format' must be \"{layout.format}\", found {_shorten(found)}.")
+    return document
+
+
+def _entries(path: Path | str, document: dict[str, Any], layout: _Layout) -> list[dict[str, Any]]:
+    """The images, each with a unique id and its rows as arrays."""
+    images = document.get("images")
+    if not isinstance(images, list):
+        raise InputError(f"{path}: the field 'images' must be a list.")
+    seen: set[str] = set()
+    for index, entry in enumerate(images):
+        if not isinstance(entry, dict):
+            raise InputError(f"{path}: image {index} must be an object with 'id' and '{layout.rows}'.")
+        name = entry.get("id")
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{path}: image {index}: the field 'id' must be a text that is not empty.")
+        if name in seen:
+            raise InputError(f"{path}: image '{name}': the 'id' occurs twice; give each image one entry.")
+        seen.add(name)
+        if not isinstance(entry.get(layout.rows), _Rows):
+            raise InputError(f"{path}: image '{name}': {_first_fault(entry.get(layout.rows), layout)}")
+    return images
+
+
+def _to_arrays(rows: list[Any], layout: _Layout) -> _Rows | None:
+    rotation, translation, value = _column(rows, "R", (3, 3)), _column(rows, "t", (3,)), _column(rows, layout.value, ())
+    if rotation is None or translation is None or value is None:
+        return None
+    return _Rows(rotation, translation, value)
+
+
+def _column(rows: list[Any], key: str, shape: tuple[int, ...]) -> Array | None:
+    """One field of all rows as an array (n, *shape), None unless every one is there and holds numbers only."""
+    if not rows:
+        return np.zeros((0, *shape))
+    try:
+        column = np.array([row[key] for row in rows])
+    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
+        return None
+    fits = column.dtype.kind in "iuf" and column.shape == (len(rows), *shape)
+    return column.astype(np.float64) if fits else None
+
+
+def _first_fault(rows: Any, layout: _Layout) -> str:
+    """What is wrong with an image's rows, which :func:`_to_arrays` refused."""
+    if not isinstance(rows, list):
+        return f"the field '{layout.rows}' must be a list."
+    wanted = (("R", (3, 3), "a 3x3 matrix of numbers"), ("t", (3,), "three numbers"), (layout.value, (), "a number"))
+    for index, row in enumerate(rows):
+        if not isinstance(row, dict):
+            return f"{layout.row} {index} must be an object with 'R', 't' and '{layout.value}'."
+        for key, shape, words in wanted:
+            if key not in row:
+                return f"{layout.row} {index}: the field '{key}' is missing."
+            if _column([row], key, shape) is None:
+                return f"{layout.row} {index}: the field '{key}' must be {words}."
+    return f"the field '{layout.rows}' mixes kinds of values."
+
+
+def _places(path: Path | str, ids: list[str]) -> list[str]:
+    return [f"{path}: image '{name}'" for name in ids]
+
+
+def _poses(places: Sequence[str], rows: Sequence[_Rows], layout: _Layout) -> list[Array]:
+    """The images' poses (n, 4, 4), checked in one go; `places` names the images in messages."""
+    counts = [len(row.value) for row in rows]
+    rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
+    translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
+    value = np.concatenate([row.value for row in rows] or [np.zeros(0)])
+    laws = [
+        (np.isfinite(rotation).all((1, 2)), "'R' holds a number that is not finite"),
+        (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
+        (np.isfinite(value), f"'{layout.value}' is not finite"),
+        (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
+        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give metres, not millimetres"),
+    ]
+    for holds, complaint in laws:
+        if not holds.all():
+            first = int(np.flatnonzero(~holds)[0])
+            image = int(np.searchsorted(np.cumsum(counts), first, side="right"))
+            number = first - sum(counts[:image])
+            raise InputError(f"{places[image]}: {layout.row} {number}: the field {complaint}.")
+    stacked = poses.from_rotation_translation(rotation, translation)
+    return np.split(stacked, np.cumsum(counts)[:-1]) if counts else []
+
+
+def _values(rows: Sequence[_Rows]) -> list[Array]:
+    return [row.value for row in rows]
+
+
+def _camera(path: Path | str, entry: dict[str, Any]) -> Camera | None:
+    document = entry.get("camera")
+    where = f"{path}: image '{entry['id']}': camera"
+    if not isinstance(document, dict):
+        return None if document is None else Camera.from_json(document, where)
+    try:
+        return _known_camera(tuple(sorted(document.items())))
+    except (InputError, TypeError):
+        return Camera.from_json(document, where)
+
+
+@lru_cache(maxsize=1024)
+def _known_camera(items: tuple[tuple[str, Any], ...]) -> Camera:
+    """Images share few cameras: check each once."""
+    return Camera.from_json(dict(items))
+
+
+def _time(path: Path | str, entry: dict[str, Any]) -> float | None:
+    time_s = entry.get("time_s")
+    if time_s is None:
+        return None
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s <= LARGEST:
+        raise InputError(f"{path}: image '{entry['id']}': the field 'time_s' must be seconds, zero or more.")
+    return float(time_s)
+
+
+def _frame(path: Path | str, document: dict[str, Any]) -> str:
+    frame = document.get("frame", "camera")
+    if frame not in FRAMES:
+        raise InputError(f'{path}: \'frame\' must be "camera" or "world", found {_shorten(frame)}.')
+    return str(frame)
+
+
+def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
+    name = reference.get("name") if isinstance(reference, dict) else reference
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{path}: the field 'object' must be the object's name, or hold its 'name'.")
+    if isinstance(reference, dict):
+        diameter = reference.get("diameter", 1.0)
+        if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter <= LARGEST:
+            raise InputError(f"{path}: object: the field 'diameter' must be a positive number of metres.")
+        return reference
+    return name
+
+
+def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
+    """Poses (n, 4, 4) and values (n,) as ``[{"R", "t", key}]``."""
+    pose = np.asarray(cam_from_obj, float).reshape(-1, 4, 4)
+    columns = pose[:, :3, :3].tolist(), pose[:, :3, 3].tolist(), np.asarray(value, float).tolist()
+    return [{"R": r, "t": t, key: v} for r, t, v in zip(*columns, strict=True)]
+
+
+def _write(path: Path | str, head: dict[str, Any], images: Iterable[dict[str, Any]]) -> None:
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
+        file.write(json.dumps(head, allow_nan=False)[:-1] + ', "images": [')
+        separator = "\n"
+        for image in images:
+            file.write(separator + json.dumps(image, allow_nan=False))
+            separator = ",\n"
+        file.write("\n]}\n")
+
+
+def _shorten(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:40] + "…"

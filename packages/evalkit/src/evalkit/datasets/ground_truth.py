@@ -1,0 +1,49 @@
+"""Ground truth out of our own shards, and the predictions that would be perfect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.datasets.shard_reader import ShardReader
+
+
+def read_ground_truth(source: Path | str | Sequence[Path | str], object_name: str | None = None) -> GroundTruth:
+    """The labels of all frames of a folder of shards, hidden instances included; pixels are not read.
+
+    `object_name` calls the object otherwise than the shards do.
+
+    Raises:
+        InputError: there is no shard, or one is missing or damaged.
+    """
+    dataset = ShardDataset(source)
+    images = [
+        image(reader, frame)
+        for reader in (dataset.reader(shard) for shard in range(len(dataset.paths)))
+        for frame in range(len(reader))
+    ]
+    model = dataset.header.object
+    return GroundTruth(replace(model, name=object_name or model.name), images, source=str(source))
+
+
+def image(reader: ShardReader, frame: int) -> GroundTruthImage:
+    """The labels of one frame."""
+    labels = reader.labels(frame)
+    return GroundTruthImage(
+        reader.image_id(frame), reader.header.camera, labels.cam_from_obj, labels.visibility.astype(float)
+    )
+
+
+def read_predictions(source: Path | str | Sequence[Path | str], object_name: str | None = None) -> Predictions:
+    """The labels themselves as hypotheses, scored by visibility: what a method without errors would say.
+
+    Raises:
+        InputError: as :func:`read_ground_truth`.
+    """
+    truth = read_ground_truth(source, object_name)
+    images = [PredictionImage(view.id, view.cam_from_obj, view.visibility) for view in truth.images]
+    reference = {"name": truth.object.name, "diameter": truth.object.diameter}
+    return Predictions(reference, images, source=truth.source)

@@ -1,0 +1,121 @@
+"""One shard, read frame by frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.datasets.scene import Instances, View
+from evalkit.datasets.shard_format import INSTANCE_FIELDS, SCHEMA, read_header
+from evalkit.errors import InputError
+
+
+class ShardReader:
+    """Random access to the frames of one shard: ``reader[i]`` is a :class:`View`.
+
+    Raises:
+        InputError: the file is missing, damaged, or not of this schema; the sentence names it and the mend.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise InputError(
+                f"{path}: no such shard; check the path or run 'simgen build' again to complete the folder."
+            )
+        try:
+            self._file = h5py.File(self.path, "r")
+        except OSError:
+            raise InputError(
+                f"{path}: not a readable HDF5 file (truncated or damaged); delete it and run 'simgen build' again."
+            ) from None
+        try:
+            self.header = read_header(self._file, self.path, SCHEMA)
+            self._labels = {name: self._file[name][()] for name in INSTANCE_FIELDS}
+            self._offset = self._file["frame_offset"][()]
+            self._scene, self._view = self._file["scene_index"][()], self._file["view_index"][()]
+            self._cam_from_world = self._file["cam_from_world"][()]
+        except (OSError, KeyError, json.JSONDecodeError) as error:
+            self._file.close()
+            raise InputError(
+                f"{path}: damaged or incomplete ({error}); delete it and run 'simgen build' again."
+            ) from None
+
+    def __len__(self) -> int:
+        return len(self._scene)
+
+    def __getitem__(self, index: int) -> View:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"{self.path}: frame {index} of {len(self)}")
+        index %= len(self)
+        return self._make_view(index, self._pixels("depth", index), self._pixels("instance_id", index))
+
+    def __iter__(self) -> Iterator[View]:
+        return (self[index] for index in range(len(self)))
+
+    def depth_raw(self, index: int) -> NDArray[np.uint16]:
+        """The stored depth (H, W) alone: all that a predictor may look at."""
+        return self._pixels("depth", index)
+
+    def labels(self, index: int) -> Instances:
+        """The labels alone, without reading pixels."""
+        rows = slice(self._offset[index], self._offset[index + 1])
+        return Instances(*(self._labels[name][rows] for name in INSTANCE_FIELDS))
+
+    @property
+    def has_ideal(self) -> bool:
+        """Whether the depth without the sensor's errors was kept."""
+        return "depth_ideal" in self._file
+
+    def image_id(self, index: int) -> str:
+        return f"{self._scene[index]:06d}-{self._view[index]:03d}"
+
+    @property
+    def scene_index(self) -> NDArray[np.int32]:
+        """Scene of each frame (F,)."""
+        return np.asarray(self._scene)
+
+    @property
+    def view_index(self) -> NDArray[np.int32]:
+        """View of its scene of each frame (F,)."""
+        return np.asarray(self._view)
+
+    @property
+    def cam_from_world(self) -> NDArray[np.float64]:
+        """Camera pose of each frame (F, 4, 4)."""
+        return np.asarray(self._cam_from_world)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> ShardReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _make_view(self, index: int, depth: NDArray[np.uint16], ids: NDArray[np.uint16]) -> View:
+        return View(
+            camera=self.header.camera,
+            depth_raw=depth,
+            depth_unit=self.header.depth_unit,
+            instance_id=ids,
+            cam_from_world=self._cam_from_world[index],
+            instances=self.labels(index),
+            scene_index=int(self._scene[index]),
+            view_index=int(self._view[index]),
+            depth_ideal_raw=self._pixels("depth_ideal", index) if self.has_ideal else None,
+        )
+
+    def _pixels(self, name: str, index: int) -> NDArray[np.uint16]:
+        try:
+            return np.asarray(self._file[name][index])
+        except OSError:
+            raise InputError(
+                f"{self.path}: frame {index} is damaged; delete the file and run 'simgen build' again."
+            ) from None

@@ -1,0 +1,1 @@
+"""Rigid transforms and the pinhole camera, with the files that cameras come in."""

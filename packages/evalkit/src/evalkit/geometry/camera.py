@@ -1,0 +1,103 @@
+"""The pinhole camera: OpenCV axes (x right, y down, z forward), integer pixel = pixel centre."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evalkit.errors import InputError
+from evalkit.geometry.camera_files import read_intrinsics
+
+MAX_SIDE = 16384
+LARGEST = 1e12  # no intrinsic is near it, and integers beyond 1e308 are no floats
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics in pixels. The ray through integer pixel (u, v) is ((u - cx) / fx, (v - cy) / fy, 1)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        if not all(math.isfinite(value) for value in numbers):
+            raise InputError(f"camera: {self} holds a number that is not finite; give finite intrinsics in pixels.")
+        if not (0 < self.width <= MAX_SIDE and 0 < self.height <= MAX_SIDE):
+            raise InputError(f"camera: {self.width} x {self.height} pixels; each side must be 1 to {MAX_SIDE}.")
+        if self.fx <= 0 or self.fy <= 0:
+            raise InputError(f"camera: focal lengths fx={self.fx:g}, fy={self.fy:g} must be positive pixels.")
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """K (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 3) in metres, camera frame, to pixels (..., 2)."""
+        points = np.asarray(points, float)
+        x, y, z = np.moveaxis(points, -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], -1)
+
+    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (..., 2) and axial depth (...) in metres to points (..., 3) in the camera frame."""
+        pixels, z = np.asarray(pixels, float), np.asarray(depth, float)
+        return np.stack([(pixels[..., 0] - self.cx) / self.fx * z, (pixels[..., 1] - self.cy) / self.fy * z, z], -1)
+
+    def point_map(self, depth: ArrayLike) -> NDArray[np.float64]:
+        """A depth image (height, width) in metres to its points (height, width, 3); depth 0 gives (0, 0, 0)."""
+        v, u = np.mgrid[: self.height, : self.width]
+        return self.unproject(np.stack([u, v], -1), depth)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on another pixel grid; pixel *areas* map onto each other, hence the half pixels."""
+        sx, sy = width / self.width, height / self.height
+        cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
+        return Camera(width, height, self.fx * sx, self.fy * sy, cx, cy)
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Any, where: str = "camera") -> Camera:
+        """Read ``{"width", "height", "fx", "fy", "cx", "cy"}``.
+
+        Raises:
+            InputError: a field is missing or not a number.
+        """
+        if not isinstance(document, dict):
+            raise InputError(f"{where}: expected an object with width, height, fx, fy, cx, cy.")
+        values: dict[str, float] = {}
+        for field in ("width", "height", "fx", "fy", "cx", "cy"):
+            value = document.get(field)
+            if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > LARGEST:
+                raise InputError(f"{where}: the field '{field}' is missing or not a number of sane size.")
+            values[field] = value
+        for field in ("width", "height"):
+            if values[field] != int(values[field]) if math.isfinite(values[field]) else True:
+                raise InputError(f"{where}: '{field}' must be a whole number of pixels.")
+        try:
+            return cls(
+                int(values["width"]), int(values["height"]), *(float(values[k]) for k in ("fx", "fy", "cx", "cy"))
+            )
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+
+    @classmethod
+    def load(cls, path: Path | str) -> Camera:
+        """Read a camera from our JSON file, a BOP camera.json, or a ROS camera_info in YAML.
+
+        Raises:
+            InputError: the file is none of these.
+        """
+        return cls.from_json(read_intrinsics(Path(path)), where=str(path))

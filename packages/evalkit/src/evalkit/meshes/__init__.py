@@ -1,0 +1,1 @@
+"""From a mesh file to vertices and faces in metres."""

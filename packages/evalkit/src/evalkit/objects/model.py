@@ -1,0 +1,190 @@
+"""What an object is: geometry, size, symmetry, and how far off a pose may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evalkit.errors import InputError
+from evalkit.geometry import poses
+from evalkit.objects.symmetry import Symmetry
+
+Array = NDArray[np.float64]
+THRESHOLD_RATIO = 0.1
+SAMPLE_POINTS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid object in its own frame, in metres.
+
+    Attributes:
+        diameter: of the smallest sphere around the area *centroid* (Brégier et al. 2017), not the minimal sphere.
+        centroid: (3,) area-weighted centroid of the surface.
+        inertial_from_obj: (4, 4) to the frame at the centroid whose axes are the surface covariance's.
+        lam: (3, 3) square root of the area-weighted surface covariance, in the inertial frame.
+        symmetry: proper symmetry group, in the object's frame, about the centroid.
+        threshold: a pose within this Sym distance of the truth counts as true.
+        points: (n, 3) a fixed, area-weighted sample of the surface, for ADD and its kin.
+        vertices, faces: (V, 3) and (F, 3) the mesh, where it is at hand.
+    """
+
+    name: str
+    diameter: float
+    centroid: Array
+    inertial_from_obj: Array
+    lam: Array
+    symmetry: Symmetry
+    threshold: float
+    points: Array | None = None
+    vertices: Array | None = None
+    faces: NDArray[np.int32] | None = None
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_mesh(
+        cls, name: str, vertices: ArrayLike, faces: ArrayLike, symmetry: Symmetry | None = None, **notes: Any
+    ) -> ObjectModel:
+        """From a triangle mesh: vertices (V, 3) in metres, faces (F, 3).
+
+        Raises:
+            InputError: the mesh has no surface.
+        """
+        vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
+        area, centroid, covariance = surface_moments(vertices, faces)
+        if not area > 0:
+            raise InputError(f"object '{name}': the mesh has no surface area.")
+        variances, axes = np.linalg.eigh(covariance)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        used = vertices[np.unique(faces)]
+        diameter = 2.0 * float(np.linalg.norm(used - centroid, axis=1).max())
+        return cls(
+            name=name,
+            diameter=diameter,
+            centroid=centroid,
+            inertial_from_obj=poses.invert(poses.from_rotation_translation(axes, centroid)),
+            lam=np.diag(np.sqrt(np.maximum(variances, 0.0))),
+            symmetry=symmetry or Symmetry.parse("none"),
+            threshold=THRESHOLD_RATIO * diameter,
+            points=sample_surface(vertices, faces, SAMPLE_POINTS),
+            vertices=vertices,
+            faces=faces,
+            notes=notes,
+        )
+
+    @cached_property
+    def lam_in_obj(self) -> Array:
+        """Lambda (3, 3) with its axes in the object's frame, as the geometrically right Sym distance wants it."""
+        turn = self.inertial_from_obj[:3, :3]
+        return np.asarray(turn.T @ self.lam @ turn)
+
+    def representatives(self, cam_from_obj: ArrayLike) -> Array:
+        """Sym representatives of poses (..., 4, 4) -> (..., n, d), in metres; see :class:`Symmetry`."""
+        cam_from_obj = np.asarray(cam_from_obj, float)
+        return self.symmetry.representatives(cam_from_obj[..., :3, :3], self.centers(cam_from_obj), self.lam_in_obj)
+
+    def centers(self, cam_from_obj: ArrayLike) -> Array:
+        """The centroid in the camera's frame: poses (..., 4, 4) -> (..., 3)."""
+        return poses.apply(cam_from_obj, self.centroid[None])[..., 0, :]
+
+    def with_symmetry(self, symmetry: Symmetry) -> ObjectModel:
+        return replace(self, symmetry=symmetry)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the mesh."""
+        return {
+            "name": self.name,
+            "diameter": self.diameter,
+            "centroid": self.centroid.tolist(),
+            "inertial_from_obj": self.inertial_from_obj.tolist(),
+            "lambda": self.lam.tolist(),
+            "symmetry": self.symmetry.to_json(),
+            "threshold": self.threshold,
+            "points": None if self.points is None else np.round(self.points, 9).tolist(),
+            "notes": self.notes,
+        }
+
+    @classmethod
+    def from_json(cls, document: Any, where: str = "object") -> ObjectModel:
+        """Read what :meth:`to_json` writes.
+
+        Raises:
+            InputError: a field is missing, of the wrong shape, or not finite.
+        """
+        if not isinstance(document, dict):
+            raise InputError(f"{where}: expected an object with name, diameter, centroid, lambda, symmetry …")
+        frame = _numbers(document, "inertial_from_obj", (4, 4), where)
+        if not poses.is_rotation(frame[:3, :3]):
+            raise InputError(f"{where}: 'inertial_from_obj' must hold a rotation.")
+        diameter, threshold = (float(_numbers(document, key, (), where)) for key in ("diameter", "threshold"))
+        if diameter <= 0 or threshold <= 0:
+            raise InputError(f"{where}: 'diameter' and 'threshold' must be positive metres.")
+        points = None if document.get("points") is None else _numbers(document, "points", (-1, 3), where)
+        notes = document.get("notes")
+        return cls(
+            name=str(document.get("name", "object")),
+            diameter=diameter,
+            centroid=_numbers(document, "centroid", (3,), where),
+            inertial_from_obj=frame,
+            lam=_numbers(document, "lambda", (3, 3), where),
+            symmetry=Symmetry.from_json(document.get("symmetry"), f"{where}: symmetry"),
+            threshold=threshold,
+            points=points,
+            notes=notes if isinstance(notes, dict) else {},
+        )
+
+
+def surface_moments(vertices: ArrayLike, faces: ArrayLike) -> tuple[float, Array, Array]:
+    """Exact area, centroid (3,) and area-weighted covariance (3, 3) of a triangle surface."""
+    corners = np.asarray(vertices, float)[np.asarray(faces)]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = float(areas.sum())
+    if not area > 0:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    centroid = np.einsum("f,fi->i", areas, corners.mean(1)) / area
+    centred = corners - centroid
+    sums = centred.sum(1)
+    second = np.einsum("f,fki,fkj->ij", areas, centred, centred) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    return area, centroid, second / (12.0 * area)
+
+
+def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, seed: int = 0) -> Array:
+    """`count` points (count, 3), uniform over the surface; the same for the same mesh and seed."""
+    return sample_surface_with_normals(vertices, faces, count, seed)[0]
+
+
+def sample_surface_with_normals(
+    vertices: ArrayLike, faces: ArrayLike, count: int, seed: int = 0
+) -> tuple[Array, Array]:
+    """The points (count, 3) of :func:`sample_surface` and the unit normals (count, 3) of the faces they lie on."""
+    corners = np.asarray(vertices, float)[np.asarray(faces)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    rng = np.random.default_rng(seed)
+    cumulative = np.cumsum(areas)
+    strata = (np.arange(count) + rng.random(count)) / count * cumulative[-1]
+    face = np.minimum(np.searchsorted(cumulative, strata), len(areas) - 1)
+    a, b = rng.random((2, count, 1))
+    outside = a + b > 1
+    a, b = np.where(outside, 1 - a, a), np.where(outside, 1 - b, b)
+    chosen = corners[face]
+    points = chosen[:, 0] + a * (chosen[:, 1] - chosen[:, 0]) + b * (chosen[:, 2] - chosen[:, 0])
+    return points, normals[face] / areas[face, None]
+
+
+def _numbers(document: dict[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:
+    try:
+        array = np.array(document[key], dtype=float)
+    except KeyError:
+        raise InputError(f"{where}: the field '{key}' is missing.") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: the field '{key}' must hold numbers only.") from None
+    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
+    if not fits or not np.isfinite(array).all():
+        raise InputError(f"{where}: the field '{key}' must hold finite numbers of shape {shape}.")
+    return array

@@ -1,0 +1,1 @@
+"""How good predictions are: distances, matching, curves, AP, and how much of it is chance."""

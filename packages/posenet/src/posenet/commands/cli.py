@@ -1,0 +1,229 @@
+"""`posenet fit`, `predict`, `info`, `figures`, `export`, `compact`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from evalkit.commands.group import Commands
+from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, preset, with_options
+
+
+@click.group(cls=Commands)
+@click.version_option(package_name="binpose-posenet")
+def main() -> None:
+    """Train on shards and predict the 6D poses of objects in crowds."""
+
+
+@main.command()
+@click.argument("shards", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/OBJECT-PRESET]")
+@click.option("--preset", "preset_name", type=click.Choice(list(PRESETS)), default="small", show_default=True)
+@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Train for so long.")
+@click.option("--epochs", type=click.IntRange(min=1), help="Train for so many passes over the shards.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option(
+    "--devices",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="GPUs, or processes on the CPU, that share every batch; the result is that of one.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--optimizer", type=click.Choice(OPTIMIZERS), default=None, help="What steps along the gradients.")
+@click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Peak learning rate.")
+@click.option("--batch-images", type=click.IntRange(min=1), help="Images a step.")
+@click.option("--schedule", type=click.Choice(SCHEDULES), default=None, help="How the learning rate goes.")
+@click.option("--ema", type=click.FloatRange(0, 1, max_open=True), help="Keep the weights' moving average, e.g. 0.999.")
+@click.option(
+    "--augment-noise", type=click.FloatRange(0, 1), help="Add noise up to so many diameters on the fly: 0.02."
+)
+@click.option("--augment-holes", type=click.FloatRange(0, 0.9), help="Holes cut on the fly, at most this share.")
+@click.option(
+    "--backbone-weights", type=click.Path(path_type=Path), help="ImageNet's VGG16 (torchvision's file), --preset paper."
+)
+@click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
+@click.option("--validation/--no-validation", default=True, help="Hold scenes out and keep the best model by their AP.")
+@click.option("--offset/--no-offset", default=None, help="Without: the box centre stands in for the centre.")
+@click.option("--confidence", type=click.Choice(["product", "learned"]), help="Scores before registration.")
+@click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
+@click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
+@click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
+@click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
+@click.option(
+    "--norm", type=click.Choice(["batch", "group"]), default=None, help="Layers that normalise; group for tiny batches."
+)
+@click.option("--precision", type=click.Choice(["auto", "32", "bf16"]), default=None, help="Of the layers.")
+@click.option("--tasks", help=f"Heads that learn; the others' losses are off.  [default: {','.join(TASKS)}]")
+def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options: Any) -> None:
+    """Train a network on SHARDS: a folder that `simgen build` wrote, or shard files.
+
+    Run the same command again to resume a run that was stopped.
+    """
+    if options["minutes"] is not None and options["epochs"] is not None:
+        raise click.UsageError("Give --minutes or --epochs, not both.")
+    from posenet.training.fit_options import FitOptions
+    from posenet.training.train import fit as train
+    from posenet.training.train import intact_frames
+
+    if out is None:
+        out = Path("runs") / f"{intact_frames(list(shards)).model.name}-{preset_name}"
+    run = train(
+        FitOptions(
+            shards=list(shards),
+            out=out,
+            config=_configured(preset_name, options),
+            minutes=options["minutes"],
+            epochs=options["epochs"],
+            device=options["device"],
+            devices=options["devices"],
+            seed=options["seed"],
+            validate=options["validation"],
+            backbone_weights=options["backbone_weights"],
+            checkpoint_seconds=options["checkpoint_seconds"],
+            command=shlex.join(["posenet", *sys.argv[1:]]),
+        )
+    )
+    click.echo(_summary(run.path))
+
+
+_TRAIN_OPTIONS = (
+    "optimizer", "learning_rate", "batch_images", "schedule", "ema", "precision", "augment_noise", "augment_holes",
+)  # fmt: skip
+
+
+def _configured(preset_name: str, options: dict[str, Any]) -> Config:
+    config = preset(preset_name)
+    network = {
+        key: options[key] for key in ("offset", "confidence", "registration", "hypotheses", "orientation", "norm")
+    }
+    config = with_options(config, "network", **network)
+    tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None
+    config = with_options(config, "loss", registration_weights=options["registration_weights"], tasks=tasks)
+    train = {key: options[key] for key in _TRAIN_OPTIONS}
+    return with_options(config, "train", **train)
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="preds.json", show_default=True)
+@click.option(
+    "--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of depth images: our JSON, BOP or ROS."
+)
+@click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
+@click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
+@click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
+@click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
+@click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the source.")
+@click.option("--no-registration", is_flag=True, help="Ablation: score = confidence.")
+@click.option("--no-offset", is_flag=True, help="Ablation: the box centre stands in for the centre.")
+@click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+def predict(
+    model: Path, source: Path, no_registration: bool, no_offset: bool, hypotheses: int | None, **options: Any
+) -> None:
+    """Predict poses with MODEL (a model file or a run's folder) on SOURCE.
+
+    SOURCE is a folder of shards or one shard; one depth image (16-bit PNG, TIFF, NPY) or a folder of them, with
+    --camera and, for whole numbers, --depth-unit; or a folder of the Siléane dataset (camera_params.txt beside
+    depth/*.png). Images are named as their files, without the suffix.
+    """
+    from posenet.commands import predict as commands
+    from posenet.prediction.ablation import Ablation
+
+    ablation = Ablation(not no_registration, not no_offset, hypotheses)
+    click.echo(commands.predict(model, source, ablation=ablation, **options))
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Everything, as JSON.")
+def info(model: Path, as_json: bool) -> None:
+    """Print what a model was trained on, how long, and how well it validated."""
+    click.echo(_summary(model, as_json))
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("shards", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="figures", show_default=True)
+@click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the frame drawn on.")
+def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
+    """Draw how MODEL works: its angle bins, one detection's hypotheses, and the registration's relation features.
+
+    SHARDS are of the kind that the model was trained on; one of their frames is drawn on.
+    """
+    from posenet.figures import draw_figures
+    from posenet.models.model_file import load_model
+
+    for path in draw_figures(load_model(model).network, shards, out, frame):
+        click.echo(path)
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="model.onnx", show_default=True)
+def export(model: Path, out: Path) -> None:
+    """Write MODEL as ONNX, for what runs without Python: trunk with detector, and the heads of the regions.
+
+    Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to centre, depth
+    and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.export's docstring.
+    Needs pip install 'binpose-posenet[export]'.
+    """
+    from posenet.models import export as onnx
+    from posenet.models.model_file import load_model
+
+    for path in onnx.export(load_model(model).network, out):
+        click.echo(path)
+
+
+@main.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), default="compact.pt", show_default=True)
+def compact(model: Path, out: Path) -> None:
+    """Write MODEL in a quarter of the bytes, to hand on: weights in 8 bits a row, else 16. Score it before you do."""
+    from posenet.models.model_file import write_compact
+
+    click.echo(f"{out}: {write_compact(model, out) / 1e6:.1f} MB")
+
+
+def _summary(model: Path, as_json: bool = False) -> str:
+    from posenet.models.model_file import load_model
+
+    trained = load_model(model)
+    network, record = trained.network, trained.record
+    if as_json:
+        document = {
+            "config": network.config.to_json(),
+            "object": network.model.to_json(),
+            "camera": network.camera.to_json(),
+            "depth_range": network.depth_range,
+            "record": record,
+        }
+        return json.dumps(document, indent=1)
+    count = sum(p.numel() for p in network.parameters())
+    ap = record.get("validation_ap")
+    camera = network.camera
+    return "\n".join(
+        [
+            f"model       {model}",
+            f"object      {network.model.name}, diameter {network.model.diameter * 1e3:.1f} mm, "
+            f"symmetry {network.model.symmetry.name}",
+            f"preset      {network.config.preset}, {count / 1e6:.2f} M parameters",
+            f"camera      {camera.width} x {camera.height}, fx {camera.fx:.1f}, "
+            f"objects {network.depth_range[0]:.3f} to {network.depth_range[1]:.3f} m away",
+            f"training    {record['minutes']:.1f} minutes, {record['images']} images, seed {record['seed']}",
+            "validation  "
+            + (
+                f"AP {ap:.3f} on {record['validation_images']} images; {record['protocol']}"
+                if ap is not None
+                else "none"
+            ),
+        ]
+    )

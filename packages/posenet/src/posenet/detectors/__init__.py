@@ -1,0 +1,1 @@
+"""Features in; losses, or scored boxes, out."""

@@ -1,0 +1,1 @@
+"""What several parts of the network are built of."""

@@ -1,0 +1,1 @@
+"""The multi-task network: depth to features, regions, heads, hypotheses, registration, losses."""

@@ -1,0 +1,1 @@
+"""What steps along the gradients, and how fast."""

@@ -1,0 +1,1 @@
+"""From depth images, whoever took them, to scored poses."""

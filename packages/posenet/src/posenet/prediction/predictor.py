@@ -1,0 +1,136 @@
+"""`posenet predict`: poses for depth images, whoever took them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from evalkit.datasets.documents import PredictionImage, Predictions
+from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel
+from posenet.device import choose_device, supports_bf16
+from posenet.models.model_file import load_model
+from posenet.network.depth_input import intrinsics_of
+from posenet.network.pose_network import ImagePoses, PoseNetwork
+from posenet.prediction.ablation import Ablation
+from posenet.prediction.any_camera import check_distance, pad_to_multiple, resample, trained_grid, without_nan
+from posenet.refinement.refiner import Refiner
+
+# What refinement is given of an image. It tells two boxes of one instance from two instances, so that it may have both.
+REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedPoses:
+    """The n poses found in one image, sorted by score, best first."""
+
+    cam_from_obj: NDArray[
+        np.float64
+    ]  # (n, 4, 4) metres, from the mesh's own frame to the camera's (x right, z forward)
+    score: NDArray[np.float64]  # (n,) in [0, 1]
+    boxes: NDArray[np.float64]  # (n, 4) x0, y0, x1, y1 of the detection each comes from, pixels
+    time_s: float  # seconds spent on the image
+
+
+class Predictor:
+    """A trained model, ready to use: ``Predictor.load("model.pt").predict(depth, camera)``."""
+
+    def __init__(self, network: PoseNetwork, record: dict[str, Any] | None = None, refine: bool = False) -> None:
+        self.network, self.record = network.eval(), record or {}
+        self.refiner = Refiner(network.model) if refine else None
+        if refine:
+            network.detector.max_detections, network.detector.nms_iou = REFINED_DETECTIONS, REFINED_OVERLAP
+        self.device = next(network.parameters()).device
+        network.bf16 = supports_bf16(self.device)
+
+    @classmethod
+    def load(
+        cls, source: Path | str, device: str = "auto", refine: bool = False, ablation: Ablation | None = None
+    ) -> Predictor:
+        """From a model file or a run's folder; `refine` has every pose fitted to the image and verified against it.
+
+        Raises:
+            InputError: there is no usable model, or no such device.
+        """
+        trained = load_model(source, choose_device(device))
+        return cls((ablation or Ablation()).apply(trained.network), trained.record, refine)
+
+    @property
+    def model(self) -> ObjectModel:
+        return self.network.model
+
+    def predict(self, depth: NDArray[Any], camera: Camera) -> PredictedPoses:
+        """Poses in one depth image (height, width) of any number type: axial z in metres, 0 or NaN = no return.
+
+        Any resolution and any pinhole camera will do: the image is resampled so that the object has its trained size.
+
+        Raises:
+            InputError: the image does not fit the camera, or its depths cannot be metres.
+        """
+        return self.predict_batch([depth], camera)[0]
+
+    def predict_batch(
+        self, depths: Sequence[NDArray[Any]], camera: Camera, names: Sequence[str] = ()
+    ) -> list[PredictedPoses]:
+        """As :meth:`predict`, for several images of one camera at once; `names` call them in messages."""
+        started = time.perf_counter()
+        titles = [f"image '{name}'" for name in names] or ["the depth image"] * len(depths)
+        clean = [self.clean(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
+        found: list[PredictedPoses] = [_NOTHING] * len(clean)
+        grids = [trained_grid(depth, camera, self.network) for depth in clean]
+        for grid in dict.fromkeys(grids):
+            rows = [row for row, other in enumerate(grids) if other == grid]
+            for row, poses in zip(rows, self._on_grid([clean[row] for row in rows], camera, grid), strict=True):
+                found[row] = poses
+        if self.refiner is not None:
+            refiner = self.refiner
+            found = [_refined(refiner, *pair, camera) for pair in zip(clean, found, strict=True)]
+        seconds = (time.perf_counter() - started) / max(len(depths), 1)
+        return [replace(image, time_s=seconds) for image in found]
+
+    def clean(self, depth: NDArray[Any], camera: Camera, title: str = "the depth image") -> NDArray[np.float32]:
+        """The image with 0 wherever nothing returned.
+
+        Raises:
+            InputError: see :meth:`predict`.
+        """
+        clean = without_nan(depth, camera, title)
+        check_distance(clean, camera, self.network, title)
+        return clean
+
+    def _on_grid(self, depths: list[NDArray[np.float32]], camera: Camera, grid: Camera) -> list[PredictedPoses]:
+        images = torch.stack([resample(torch.from_numpy(depth), grid) for depth in depths]).to(self.device)
+        images = pad_to_multiple(images, self.network.backbone.stride)
+        intrinsics = intrinsics_of(grid).expand(len(images), 4).to(self.device)
+        return [self._in_mesh_frame(image, camera, grid) for image in self.network.predict(images, intrinsics)]
+
+    def _in_mesh_frame(self, image: ImagePoses, camera: Camera, grid: Camera) -> PredictedPoses:
+        cam_from_obj = self.network.codec.cam_from_obj(image.rotation, image.center)
+        scale = np.tile([camera.width / grid.width, camera.height / grid.height], 2)
+        boxes = np.minimum(image.box.double().cpu().numpy() * scale, [camera.width, camera.height] * 2)
+        return PredictedPoses(cam_from_obj, image.score.double().cpu().numpy(), boxes, 0.0)
+
+
+_NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), 0.0)
+
+
+def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses, camera: Camera) -> PredictedPoses:
+    """The poses fitted to the image: one a detection, without duplicates, scored by what the image says of them."""
+    detection = np.unique(found.boxes, axis=0, return_inverse=True)[1].reshape(-1)  # a detection has one box
+    refined = refiner.refine(depth, camera, found.cam_from_obj, found.score, detection)
+    return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[refined.hypothesis], found.time_s)
+
+
+def to_document(model: ObjectModel, images: Iterator[tuple[str, PredictedPoses]]) -> Predictions:
+    """Named images' poses as a preds.json document."""
+    reference = {"name": model.name, "diameter": model.diameter}
+    return Predictions(
+        reference, [PredictionImage(name, poses.cam_from_obj, poses.score, poses.time_s) for name, poses in images]
+    )

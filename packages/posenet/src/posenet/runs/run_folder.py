@@ -1,0 +1,134 @@
+"""A run's folder: what a run is, where it stands, and its models.
+
+::
+
+    run.json        preset, options, seed, data and its hashes: a run is resumed only by the same command;
+                    and how it was made: the command, the folder it was typed in, commit and versions
+    checkpoint.pt   last state: weights, optimisers, random state, progress
+    model.pt        best model so far by validation AP (the last one without validation)
+    last.pt         the model at the last validation, or at the end
+    metrics.jsonl   one line a validation
+    losses.jsonl    one line every few steps: mean losses
+    curves.png      both, drawn
+    events.*        TensorBoard: the same, and predictions on a validation image
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from evalkit.atomic import write_json, write_text
+from evalkit.errors import InputError
+from posenet.config import Config
+from posenet.runs.curves import draw_curves
+from posenet.models.model_file import MODEL_FILE, read_torch_file, write_torch_file
+
+RUN_FORMAT = "binpose-run/1"
+Rows = list[dict[str, float]]
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run, and its state on disk."""
+
+    path: Path
+
+    @property
+    def model(self) -> Path:
+        return self.path / MODEL_FILE
+
+    @property
+    def last(self) -> Path:
+        return self.path / "last.pt"
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "checkpoint.pt"
+
+    def claim(self, identity: dict[str, Any], made_by: dict[str, Any]) -> bool:
+        """Make the folder this run's own; True if a checkpoint of the same run is there to go on from.
+
+        Args:
+            identity: what must be the same for a run to be resumed. made_by: what is noted beside it.
+
+        Raises:
+            InputError: the folder holds another run.
+            OSError: it cannot be written.
+        """
+        file = self.path / "run.json"
+        if not file.exists():
+            write_json(file, {"format": RUN_FORMAT, **identity, "made_by": made_by}, indent=1)
+            return False
+        known, wanted = _comparable(self._read(file)), _comparable(json.loads(json.dumps(identity)))
+        different = [key for key in wanted if known.get(key) != wanted[key]]
+        if different:
+            raise InputError(
+                f"{self.path}: holds a run that differs in {', '.join(different)}; give the same options to resume it, "
+                "or another folder with -o."
+            )
+        self._require_writable()
+        return self.checkpoint.exists()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """The folder for this process alone; what a killed one left half-written is removed.
+
+        Raises:
+            InputError: another process trains in it.
+        """
+        with open(self.path / "run.json", encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"{self.path}: another process is training in this folder; wait for it, or choose another with -o."
+                ) from None
+            self._remove_leftovers()
+            yield
+
+    def save_checkpoint(self, state: dict[str, Any]) -> None:
+        write_torch_file(self.checkpoint, state)
+
+    def load_checkpoint(self) -> dict[str, Any]:
+        return read_torch_file(self.checkpoint)
+
+    def write_progress(self, history: Rows, validations: Rows) -> None:
+        """Losses and validations so far, as lines and as curves."""
+        write_text(self.path / "losses.jsonl", _lines(history))
+        write_text(self.path / "metrics.jsonl", _lines(validations))
+        draw_curves(self.path / "curves.png", history, validations, self.path.name)
+
+    def _read(self, file: Path) -> dict[str, Any]:
+        try:
+            return dict(json.loads(file.read_text(encoding="utf-8")))
+        except (UnicodeDecodeError, TypeError, ValueError):
+            raise InputError(f"{file}: not a readable run file; remove the folder or choose another with -o.") from None
+
+    def _remove_leftovers(self) -> None:
+        """Half-written files of a run that was killed while it wrote."""
+        for leftover in self.path.glob(".*.tmp"):
+            leftover.unlink(missing_ok=True)
+
+    def _require_writable(self) -> None:
+        try:
+            tempfile.TemporaryFile(dir=self.path).close()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
+
+
+def _comparable(document: dict[str, Any]) -> dict[str, Any]:
+    """Without what an update of posenet may add: options at their defaults, and hashes beside the one of all data."""
+    config = Config.from_json(document.get("config"), "run.json: config").to_json()
+    data = document.get("data", {})
+    return {**document, "config": json.loads(json.dumps(config)), "data": data.get("sha256")}
+
+
+def _lines(rows: Rows) -> str:
+    return "".join(json.dumps(row) + "\n" for row in rows)

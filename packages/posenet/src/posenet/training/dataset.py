@@ -1,0 +1,114 @@
+"""Frames of shards as training batches; which scenes train and which validate; in which order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel
+from posenet.network.depth_input import intrinsics_of
+from posenet.network.targets import Batch
+
+LEAST_SCENES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Frame numbers of a dataset that train, and those that validate; no scene is in both."""
+
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+
+
+class Frames:
+    """A :class:`ShardDataset` as the network wants it."""
+
+    def __init__(self, source: Path | str | list[Path]) -> None:
+        self.dataset = ShardDataset(source)
+        if len(self.dataset) == 0:
+            raise InputError(f"{source}: the shards hold no frames; build some with 'simgen build'.")
+
+    @property
+    def camera(self) -> Camera:
+        return self.dataset.header.camera
+
+    @property
+    def model(self) -> ObjectModel:
+        return self.dataset.header.object
+
+    def split(self, validation_share: float, seed: int, most_images: int) -> Split:
+        """Hold out a share of the scenes, at least one; validate on at most `most_images` of their frames.
+
+        Raises:
+            InputError: there are too few scenes to hold any out.
+        """
+        scene_of = self.dataset.scene_index
+        scenes = np.unique(scene_of)
+        if validation_share <= 0:
+            return Split(np.arange(len(scene_of)), np.arange(0))
+        if len(scenes) < LEAST_SCENES:
+            raise InputError(
+                f"the shards hold {len(scenes)} scenes, and at least {LEAST_SCENES} are needed to hold some out for "
+                "validation; build more scenes, or give --no-validation."
+            )
+        rng = np.random.default_rng([seed, 1])
+        held_out = rng.choice(scenes, max(1, round(validation_share * len(scenes))), replace=False)
+        is_held_out = np.isin(scene_of, held_out)
+        validation = np.flatnonzero(is_held_out)
+        picked = np.linspace(0, len(validation) - 1, min(most_images, len(validation))).round().astype(int)
+        return Split(np.flatnonzero(~is_held_out), validation[picked])
+
+    def batch(self, frames: NDArray[np.int64], seeds: tuple[int, ...] | None = None) -> Batch:
+        """The frames' images and labels; `seeds` (one a frame) decide what a training step leaves to chance."""
+        views = [self.dataset[int(frame)] for frame in frames]
+        intrinsics = intrinsics_of(self.camera).expand(len(views), 4)
+        labels = [view.instances for view in views]
+        return Batch(
+            depth=torch.stack([torch.from_numpy(view.depth) for view in views]),
+            intrinsics=intrinsics,
+            poses=[torch.from_numpy(part.cam_from_obj).float() for part in labels],
+            boxes=[torch.from_numpy(part.box_visible).float() for part in labels],
+            visibility=[torch.from_numpy(part.visibility) for part in labels],
+            seeds=seeds if seeds is not None else step_seeds(0, 0, frames),
+        )
+
+    def depth_range(self, frames: NDArray[np.int64], min_visibility: float, most: int = 2000) -> tuple[float, float]:
+        """Nearest and farthest centroid, in metres, of the instances that train, in up to `most` of the frames.
+
+        Raises:
+            InputError: no instance is visible enough to train on.
+        """
+        picked = frames[np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int)]
+        depths = []
+        for frame in picked:
+            reader, number = self.dataset.locate(int(frame))
+            labels = reader.labels(number)
+            seen = labels.cam_from_obj[labels.visibility >= min_visibility]
+            depths.append(self.model.centers(seen)[:, 2])
+        found = np.concatenate(depths)
+        if len(found) == 0:
+            raise InputError(
+                f"no instance in the shards is at least {min_visibility:.0%} visible, so there is nothing to train on; "
+                "check the shards with 'simgen preview'."
+            )
+        return float(found.min()), float(found.max())
+
+
+def epoch_order(frames: NDArray[np.int64], seed: int, epoch: int) -> NDArray[np.int64]:
+    """The order of an epoch: the same for a seed and an epoch, so that a resumed run sees what an unbroken one does."""
+    return np.random.default_rng([seed, 2, epoch]).permutation(frames)
+
+
+def step_seeds(seed: int, step: int, frames: NDArray[np.int64]) -> tuple[int, ...]:
+    """A seed (63 bits) for each image of a step: whatever shares the batch or came before, its draws are the same."""
+    words = [
+        np.random.SeedSequence(seed, spawn_key=(4, step, int(frame))).generate_state(1, np.uint64) for frame in frames
+    ]
+    return tuple(int(word[0] >> np.uint64(1)) for word in words)

@@ -1,0 +1,141 @@
+"""`posenet fit`: what a run is, and its beginning; the loop is :class:`posenet.trainer.Trainer`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from evalkit.atomic import sha256_of_file
+from evalkit.datasets.shard_folder import list_shards
+from evalkit.datasets.shard_format import checksum_problem
+from evalkit.errors import InputError
+from posenet.device import choose_device
+from posenet.network.backbone import load_vgg16_weights
+from posenet.network.pose_network import PoseNetwork
+from posenet.runs.provenance import data_hash, git_version, shard_hashes, software_versions
+from posenet.runs.run_folder import RunFolder
+from posenet.training.dataset import Frames, Split
+from posenet.training.fit_options import FitOptions
+from posenet.training.processes import Place, processes
+from posenet.training.trainer import Trainer
+
+
+def fit(options: FitOptions) -> RunFolder:
+    """Train, or go on training; returns the run's folder, with the best model in it.
+
+    Raises:
+        InputError: the shards, the options or the folder cannot be used, or the loss became NaN.
+        OSError: the folder cannot be written, or its disk is full.
+        KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
+    """
+    device = choose_device(options.device, options.devices)
+    frames = intact_frames(options.shards)
+    split, network = _prepared(options, frames)
+    run = RunFolder(options.out)
+    resuming = run.claim(_identity(options, frames), _made_by(options, frames))
+    follow = partial(_follow, options, resuming)
+    with run.locked(), _reproducible(device), processes(options.devices, follow) as place:
+        _train(Trainer(network, frames, split, run, options, place), resuming)
+    return run
+
+
+def _follow(options: FitOptions, resuming: bool, place: Place) -> None:
+    """What :func:`fit` does in the processes beside the first, which has checked everything."""
+    frames = Frames(list(options.shards))
+    split, network = _prepared(options, frames)
+    with _reproducible(choose_device(options.device)):
+        _train(Trainer(network, frames, split, RunFolder(options.out), options, place), resuming)
+
+
+def _train(trainer: Trainer, resuming: bool) -> None:
+    if resuming:
+        trainer.restore(trainer.run.load_checkpoint())
+    trainer.train()
+
+
+def _prepared(options: FitOptions, frames: Frames) -> tuple[Split, PoseNetwork]:
+    """Which frames train, and the network as it begins."""
+    config = options.config
+    share = config.train.validation_share if options.validate else 0.0
+    split = frames.split(share, options.seed, config.train.validation_images)
+    batch = min(config.train.batch_images, len(split.train))
+    if batch < options.devices:
+        raise InputError(
+            f"--devices {options.devices}: a batch of {batch} image(s) cannot be shared by so many; give "
+            f"--batch-images {options.devices} or more, and as many training images."
+        )
+    torch.manual_seed(options.seed)
+    depth_range = frames.depth_range(split.train, config.train.min_visibility)
+    network = PoseNetwork(config, frames.model, depth_range, frames.camera)
+    if options.backbone_weights is not None:
+        _load_backbone(network, options.backbone_weights)
+    return split, network
+
+
+def intact_frames(shards: list[Path]) -> Frames:
+    """The shards' frames, after every byte was checked: better now than as a traceback in the second hour.
+
+    Raises:
+        InputError: a shard is missing, damaged, of another schema, or does not belong with the first.
+    """
+    for path in list_shards(shards):
+        problem = checksum_problem(path)
+        if problem:
+            raise InputError(f"{path}: {problem}; delete it and run 'simgen build' again.")
+    return Frames(list(shards))
+
+
+def _load_backbone(network: PoseNetwork, path: Path) -> None:
+    trunk = network.config.network.backbone
+    if trunk != "vgg16":
+        raise InputError(
+            f"--backbone-weights {path}: fits the trunk vgg16 only, and the preset '{network.config.preset}' has "
+            f"{trunk}; give --preset paper, or leave the weights out."
+        )
+    load_vgg16_weights(network.backbone, path)
+
+
+def _identity(options: FitOptions, frames: Frames) -> dict[str, Any]:
+    """What must be the same for a run to be resumed."""
+    weights = options.backbone_weights
+    return {
+        "config": options.config.to_json(),
+        "seed": options.seed,
+        "minutes": options.minutes,
+        "epochs": options.epochs,
+        "validate": options.validate,
+        "backbone_weights": sha256_of_file(weights) if weights is not None else None,
+        "data": {"sha256": data_hash(frames.dataset), "shards": shard_hashes(frames.dataset)},
+    }
+
+
+def _made_by(options: FitOptions, frames: Frames) -> dict[str, Any]:
+    """How to make the run again."""
+    return {
+        "command": options.command or f"posenet.train.fit({options!r})",
+        "folder": os.getcwd(),
+        "shards": [str(path.resolve()) for path in frames.dataset.paths],
+        "git": git_version(),
+        "software": software_versions(),
+    }
+
+
+@contextmanager
+def _reproducible(device: torch.device) -> Iterator[None]:
+    """On the CPU, gradients that are summed in one order: in parallel, indexing adds them as the threads come."""
+    before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+    filling = torch.utils.deterministic.fill_uninitialized_memory  # type: ignore[attr-defined]
+    if device.type == "cpu":
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
+        torch.utils.deterministic.fill_uninitialized_memory = filling  # type: ignore[attr-defined]

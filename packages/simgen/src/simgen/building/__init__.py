@@ -1,0 +1,1 @@
+"""From a job to a folder of shards: build, resume, verify, repair."""

@@ -1,0 +1,192 @@
+"""`simgen build`, and its two stages by themselves: `simgen simulate`, `simgen render`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simgen.commands.options import (
+    ObjectChoice,
+    camera_options,
+    configured,
+    dask_option,
+    object_options,
+    pile_options,
+    shard_options,
+    some_shards_option,
+    workers_option,
+)
+from simgen.config import PRESETS, BuildConfig, parse_shards
+from simgen.rendering.gl_platform import require_gl
+
+if TYPE_CHECKING:
+    from simgen.scenes.job import Job
+
+
+@click.command("build")
+@object_options
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
+@pile_options
+@camera_options
+@shard_options
+@workers_option
+@some_shards_option
+@dask_option
+def build_command(
+    chosen: ObjectChoice,
+    output: Path,
+    preset: str,
+    workers: int,
+    shards: str | None,
+    dask: str | None,
+    **options: Any,
+) -> None:
+    """Simulate piles of an object, render them, and write labelled depth images as shards.
+
+    Run the same command again to complete a folder that was interrupted. Options override the preset's values.
+
+    Several machines may fill one folder that all of them see, each with --shards of its own. As a Slurm array of
+    twenty jobs: sbatch --array=0-19 --wrap 'simgen build … -o shards --shards
+    $((10 * SLURM_ARRAY_TASK_ID))-$((10 * SLURM_ARRAY_TASK_ID + 9))'
+
+    A Dask cluster is given by its scheduler: --dask tcp://HOST:8786. Its workers need the folder under the same path,
+    the same software, and one thread each: dask worker tcp://HOST:8786 --nthreads 1 --nworkers 16
+    """
+    config = configured(PRESETS[preset](), **options)
+    _require_renderer(config)
+    _write_shards(_planned(config, chosen), output, workers, shards, dask)
+
+
+@click.command("simulate")
+@object_options
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("scenes.h5"), show_default=True)
+@pile_options
+@camera_options
+@shard_options
+@workers_option
+def simulate_command(
+    chosen: ObjectChoice,
+    output: Path,
+    preset: str,
+    workers: int,
+    **options: Any,
+) -> None:
+    """Simulate piles of an object and write their poses, without any image, as one small file.
+
+    `simgen render` makes of it what `simgen build` with the same options writes, on any machine, PyBullet or not.
+    Run the same command again to go on with a file that was interrupted.
+    """
+    from simgen.building.simulate import simulate
+
+    job = _planned(configured(PRESETS[preset](), **options), chosen)
+    start = time.monotonic()
+    report = simulate(job, output, workers)
+    _warn_of_broken_pools(report.broken_pools)
+    click.echo(
+        f"{output}: {report.simulated} scenes simulated in {time.monotonic() - start:.0f} s, {report.kept} kept, "
+        f"{report.redone} drops redone, {output.stat().st_size / 1e6:.2g} MB"
+    )
+
+
+@click.command("render")
+@click.argument("scenes", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
+@camera_options
+@shard_options
+@workers_option
+@some_shards_option
+@dask_option
+def render_command(
+    scenes: Path, output: Path, workers: int, shards: str | None, dask: str | None, **options: Any
+) -> None:
+    """Render SCENES and write labelled depth images as shards. Needs no PyBullet.
+
+    SCENES is a file of `simgen simulate`: without options the shards are, byte for byte, those of `simgen build`;
+    options put others in place of what `simgen simulate` was given.
+
+    Or a folder as the Siléane dataset has them, with gt/, camera_params.txt, poseutils.json and mesh.obj: the scenes
+    in gt/ as that camera sees them, on the ground and without walls, in the order of their names.
+    """
+    job = _rendered_layouts(scenes, options) if scenes.is_dir() else _rendered_scenes(scenes, options)
+    _require_renderer(job.config)
+    _write_shards(job, output, workers, shards, dask)
+
+
+def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
+    from simgen.scenes.file import job_of_scenes
+    from simgen.scenes.job import plan
+
+    job = job_of_scenes(path)
+    job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded)
+    _tell(job)
+    return job
+
+
+def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
+    from simgen.scenes.layouts import job_of_layouts, nearest_and_farthest, with_options
+
+    job = job_of_layouts(folder)
+    config = configured(job.config, **options)
+    job = with_options(job, config)
+    click.echo(
+        f"{folder}: {config.scenes} scenes of {config.instances_min} to {config.instances_max} instances of "
+        f"'{job.model.name}', {config.camera.width} x {config.camera.height} pixels, depth unit {job.depth_unit:g} m."
+    )
+    if config.sensor is not None:
+        click.echo(config.sensor.describe(config.camera, *nearest_and_farthest(job)))
+    return job
+
+
+def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
+    """The job of an object and a config, told to the user."""
+    from simgen.objects.prepare import prepare_object
+    from simgen.scenes.job import plan
+
+    prepared = prepare_object(**asdict(chosen))
+    for warning in prepared.warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    job = plan(config, prepared.model, prepared.convex_parts)
+    click.echo(prepared.summary)
+    _tell(job)
+    return job
+
+
+def _require_renderer(config: BuildConfig) -> None:
+    if config.renderer == "pyrender":
+        require_gl()
+
+
+def _tell(job: Job) -> None:
+    from simgen.scenes.job import camera_distances
+
+    click.echo(job.config.describe())
+    click.echo(f"Depth unit: {job.depth_unit:g} m.")
+    if job.config.sensor is not None:
+        click.echo(job.config.sensor.describe(job.config.camera, *camera_distances(job)))
+
+
+def _write_shards(job: Job, output: Path, workers: int, shards: str | None, dask: str | None) -> None:
+    from simgen.building.build import build
+
+    some = None if shards is None else parse_shards(shards, job.config.shards)
+    start = time.monotonic()
+    report = build(job, output, workers, some, dask)
+    seconds = time.monotonic() - start
+    for name in report.damaged:
+        click.echo(f"Warning: {name} was damaged and has been rebuilt.", err=True)
+    _warn_of_broken_pools(report.broken_pools)
+    written = sum(shard.scenes for shard in report.written)
+    part = "" if some is None else f"shards {some.start} to {some.stop - 1} of {job.config.shards}, "
+    click.echo(
+        f"{output}: {part}{written} scenes ({written * job.config.views} frames) written in {seconds:.0f} s, "
+        f"{report.kept} shards kept, {report.redone} drops redone"
+    )
+
+
+def _warn_of_broken_pools(broken_pools: int) -> None:
+    if broken_pools:
+        click.echo(f"Warning: workers were killed {broken_pools} times; their shards were redone.", err=True)

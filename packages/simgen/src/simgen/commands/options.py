@@ -1,0 +1,172 @@
+"""Options that several commands share, in groups, and the config that they come to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+from simgen.config import PRESETS, RENDERERS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
+from simgen.sensors.config import parse_sensor
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def _group(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Several options as one decorator, in the order in which --help shows them."""
+
+    def decorate(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class ObjectChoice:
+    """Which object, and how its file is to be read: the arguments of :func:`simgen.meshes.prepare_object`."""
+
+    source: str
+    units: str
+    scale: float
+    symmetry: str
+    name: str | None
+
+
+def object_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that choose an object, which reach the command as one `chosen`."""
+
+    @wraps(command)
+    def choosing(*, source: str, units: str, scale: float, symmetry: str, name: str | None, **rest: Any) -> Any:
+        return command(chosen=ObjectChoice(source, units, scale, symmetry, name), **rest)
+
+    return _OBJECT_OPTIONS(choosing)
+
+
+_OBJECT_OPTIONS = _group(
+    click.option(
+        "--object",
+        "source",
+        required=True,
+        metavar="FILE|NAME",
+        help="Mesh file, or bunny, cup, candlestick, pepper, gear, brick, connector or bracket.",
+    ),
+    click.option("--units", type=click.Choice(["auto", "m", "mm"]), default="auto", show_default=True),
+    click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on the object's size."),
+    click.option(
+        "--symmetry", default="auto", show_default=True, help="auto, none, cyclic:N, dihedral:N, revolution …"
+    ),
+    click.option("--name", help="What documents call the object.  [default: its file's name]"),
+)
+pile_options = _group(
+    click.option("--preset", type=click.Choice(list(PRESETS)), default="default", show_default=True),
+    click.option("--scenes", type=int, help="Piles to simulate."),
+    click.option("--instances", metavar="MIN-MAX", help="Instances a scene."),
+    click.option("--seed", type=int),
+    click.option("--bin", "bin_text", metavar="auto|WxDxH", help="Inner size of the bin in metres."),
+    click.option("--bin-jitter", type=float, help="A scene's bin differs from the dataset's by up to this share."),
+    click.option(
+        "--walls", type=float, help="Share of the scenes whose bin has walls; in the others they are lifted off."
+    ),
+)
+camera_options = _group(
+    click.option("--views", type=int, help="Cameras a scene."),
+    click.option("--width", type=int, help="Image width in pixels."),
+    click.option("--height", type=int, help="Image height in pixels."),
+    click.option(
+        "--camera",
+        "camera_file",
+        type=click.Path(path_type=Path),
+        help="Our JSON, a BOP camera.json, or a ROS camera_info as YAML.",
+    ),
+    click.option("--tilt", metavar="MIN-MAX", help="Of the optical axis from the vertical, in degrees."),
+    click.option("--distance", metavar="MIN-MAX", help="Multiples of that from which the bin just fits the image."),
+    click.option(
+        "--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle."
+    ),
+    click.option(
+        "--sensor",
+        "sensor_text",
+        metavar="ideal|stereo|kinect",
+        help="Depth camera; parameters follow: stereo,baseline=0.1.",
+    ),
+    click.option("--keep-ideal", is_flag=True, default=None, help="Store the depth without the sensor's errors too."),
+    click.option(
+        "--renderer", type=click.Choice(RENDERERS), help="What draws: ours on the CPU, or OpenGL; same labels."
+    ),
+)
+shard_options = _group(
+    click.option("--compression", help="zstd or gzip."),
+    click.option("--shard-scenes", type=int, help="Scenes a shard file."),
+)
+workers_option = click.option(
+    "--workers",
+    type=int,
+    callback=lambda _context, _option, value: _workers(value),
+    help="Processes; all CPU cores if not given. Does not change the result.",
+)
+some_shards_option = click.option(
+    "--shards", metavar="FIRST-LAST", help="Build only these shards of the folder, counted from 0."
+)
+dask_option = click.option(
+    "--dask", metavar="ADDRESS", help="Compute on the Dask cluster of this scheduler, as tcp://host:8786."
+)
+
+
+def _workers(value: int | None) -> int:
+    if value is not None and value < 1:
+        raise InputError(f"--workers {value}: must be 1 or more.")
+    return len(os.sched_getaffinity(0)) if value is None else value
+
+
+def configured(
+    preset: BuildConfig,
+    instances: str | None = None,
+    bin_text: str | None = None,
+    width: int | None = None,
+    height: int | None = None,
+    camera_file: Path | None = None,
+    tilt: str | None = None,
+    distance: str | None = None,
+    look_at_jitter: float | None = None,
+    bin_jitter: float | None = None,
+    walls: float | None = None,
+    sensor_text: str | None = None,
+    **numbers: Any,
+) -> BuildConfig:
+    """The preset, or another config, with the options that were given in place of its values.
+
+    Raises:
+        InputError: an option makes no sense; the sentence names it.
+    """
+    changes = {name: value for name, value in numbers.items() if value is not None}
+    if instances is not None:
+        changes["instances_min"], changes["instances_max"] = parse_instances(instances)
+    if bin_text is not None:
+        changes["bin"] = parse_bin(bin_text)
+    if sensor_text is not None:
+        changes["sensor"] = parse_sensor(sensor_text)
+    if camera_file is not None:
+        if width is not None or height is not None:
+            raise InputError("--camera: the file gives the image's size; leave --width and --height out.")
+        changes["camera"] = Camera.load(camera_file)
+    elif width is not None or height is not None:
+        sides = (preset.camera.width if width is None else width, preset.camera.height if height is None else height)
+        changes["camera"] = default_camera(*sides)
+    views: dict[str, Any] = {} if look_at_jitter is None else {"look_at_jitter": look_at_jitter}
+    if tilt is not None:
+        views["min_tilt_degrees"], views["max_tilt_degrees"] = parse_range("--tilt", tilt)
+    if distance is not None:
+        views["nearest"], views["farthest"] = parse_range("--distance", distance)
+    given = {"bin_jitter": bin_jitter, "wall_probability": walls}
+    pile: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    changes["viewpoints"], changes["pile"] = replace(preset.viewpoints, **views), replace(preset.pile, **pile)
+    return replace(preset, **changes)

@@ -1,0 +1,1 @@
+"""Shards as a dataset in somebody else's format."""

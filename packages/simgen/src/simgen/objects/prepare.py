@@ -1,0 +1,139 @@
+"""From a mesh file, or a built-in object's name, to an object in metres with symmetry and convex parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.atomic import sha256_of_file
+from evalkit.errors import InputError
+from evalkit.objects.model import ObjectModel
+from evalkit.objects.symmetry_detection import DetectedSymmetry, resolve_symmetry
+from simgen.objects.builtin import BUILTIN_OBJECTS
+from simgen.objects.convex import Part, convex_parts
+from simgen.objects.load import read_mesh
+from simgen.objects.mending import MendedMesh, mend
+from simgen.objects.units import METRES, WORDS, check_size, decide_units
+
+FLAT = 1e-4  # thickness over size below which nothing can rest on or under the object
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedObject:
+    """An object and what was understood of its mesh.
+
+    Attributes:
+        model: in metres, with symmetry and mesh; its `notes` hold source, sha256, units and scale.
+        convex_parts: (vertices (V, 3), faces (F, 3)) each, metres, object's frame.
+        warnings: sentences to print.
+        units_reason: why the file's unit is taken to be what `model.notes` says.
+        mesh: the mended mesh, in metres, and its soundness.
+        symmetry: what speaks for the model's symmetry.
+    """
+
+    model: ObjectModel
+    convex_parts: list[Part]
+    warnings: list[str]
+    units_reason: str
+    mesh: MendedMesh
+    symmetry: DetectedSymmetry
+
+    @property
+    def summary(self) -> str:
+        """One line on what was decided: unit, size, symmetry, parts."""
+        sides = " x ".join(f"{1e3 * side:.4g}" for side in np.ptp(self.mesh.vertices, axis=0))
+        unit = WORDS[self.model.notes["units"]]
+        return (
+            f"{self.model.name}: read as {unit} ({self.units_reason}), {sides} mm; symmetry {describe(self.symmetry)}; "
+            f"{len(self.convex_parts)} convex parts"
+        )
+
+
+def describe(found: DetectedSymmetry) -> str:
+    """A symmetry in words, with the residual that justifies it; for none, how far off the nearest group is."""
+    if found.evidence is not None:
+        axis = ", ".join(f"{x + 0.0:.3g}" for x in found.symmetry.axis)
+        about = "" if found.symmetry.kind == "sphere" else f" about ({axis})"
+        return f"{found.symmetry.name}{about}, residual {1e3 * found.residual:.2g} mm"
+    miss = found.runner_up
+    return "none" if miss is None else f"none (nearest: {miss.symmetry.name}, off by {1e3 * miss.worst:.2g} mm)"
+
+
+def prepare_object(
+    source: str, units: str = "auto", scale: float = 1.0, symmetry: str = "auto", name: str | None = None
+) -> PreparedObject:
+    """Read `source`, a mesh file or a built-in object's name, as an object in metres.
+
+    Args:
+        units: auto, m or mm: the file's unit; a built-in object is in metres.
+        scale: factor on the size, on top of the unit.
+        symmetry: auto, a group's name, or a name and its axis such as ``revolution@z``.
+        name: what documents call the object; the file's or the built-in object's name if None.
+
+    Raises:
+        InputError: the file is not a usable mesh, or an option makes no sense.
+    """
+    if not (math.isfinite(scale) and scale > 0):
+        raise InputError(f"--scale {scale:g}: must be a positive number.")
+    if name is not None and not name.strip():
+        raise InputError("--name: is empty; name the object, or leave the option out.")
+    own_name, vertices, faces, notes = _read(source)
+    mesh = mend(vertices, faces)
+    _require_body(mesh, source)
+    mesh, unit, reason, warnings = _in_metres(mesh, source, units, scale)
+    found = resolve_symmetry(mesh.vertices, mesh.faces, symmetry)
+    parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
+    notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
+    model = ObjectModel.from_mesh(name or own_name, mesh.vertices, mesh.faces, found.symmetry, **notes)
+    warnings += [*mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
+    return PreparedObject(model, parts, warnings, reason, mesh, found)
+
+
+def _read(source: str) -> tuple[str, NDArray[np.float64], NDArray[np.int64], dict[str, Any]]:
+    """Name, vertices (V, 3), faces (F, 3) and notes on the origin of a built-in object or a file."""
+    if source in BUILTIN_OBJECTS:
+        builtin = BUILTIN_OBJECTS[source]
+        return source, *builtin.make(), {"source": source, "origin": builtin.origin}
+    path = Path(source)
+    if not path.exists():
+        raise InputError(f"{source}: no such file, nor a built-in object ({', '.join(BUILTIN_OBJECTS)}).")
+    vertices, faces = read_mesh(path)
+    return path.stem, vertices, faces, {"source": path.name, "sha256": sha256_of_file(path)}
+
+
+def _require_body(mesh: MendedMesh, source: str) -> None:
+    """Raise InputError unless the mesh spans three dimensions."""
+    if len(mesh.faces) == 0:
+        raise InputError(f"{source}: all its triangles are points or lines; export it again.")
+    thickness = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), compute_uv=False) / math.sqrt(len(mesh.vertices))
+    if not thickness[2] > FLAT * thickness[0]:
+        raise InputError(f"{source}: the mesh is flat; a rigid body needs thickness, so model it as a solid.")
+
+
+def _in_metres(mesh: MendedMesh, source: str, units: str, scale: float) -> tuple[MendedMesh, str, str, list[str]]:
+    """The mesh in metres, its file's unit, the reason for it, and warnings."""
+    largest_side = float(np.ptp(mesh.vertices, axis=0).max())
+    if source in BUILTIN_OBJECTS:
+        unit, reason, warnings = "m", "a built-in object", list[str]()
+    else:
+        unit, reason, warnings = decide_units(units, largest_side, Path(source).suffix.lower().lstrip("."), source)
+    factor = METRES[unit] * scale
+    warnings += check_size(largest_side * factor, source)
+    scaled = replace(mesh, vertices=mesh.vertices * factor, volume=mesh.volume * factor**3)
+    return scaled, unit, reason, warnings
+
+
+def _doubts(found: DetectedSymmetry, asked: str) -> list[str]:
+    """Sentences on a symmetry that was asked for and that the mesh does not have."""
+    evidence = found.evidence
+    if asked == "auto" or evidence is None or evidence.accepted:
+        return []
+    return [
+        f"The mesh is not that symmetric: turned by {found.symmetry.name}, 1 % of its surface is off by more than "
+        f"{1e3 * evidence.typical:.3g} mm, at worst {1e3 * evidence.worst:.3g} mm; --symmetry {asked} is used as asked."
+    ]

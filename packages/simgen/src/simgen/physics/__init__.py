@@ -1,0 +1,1 @@
+"""Instances that fall into a bin until they rest."""

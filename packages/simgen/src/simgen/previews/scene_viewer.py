@@ -1,0 +1,100 @@
+"""One scene in three dimensions, inside a page: what `scene_viewer.js` needs to draw it in WebGL, as JSON."""
+
+from __future__ import annotations
+
+import base64
+import json
+from importlib.resources import files
+from typing import Any
+
+import fast_simplification
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evalkit.datasets.scene import View
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel
+from simgen.config import BinSize
+from simgen.previews.sheet import instance_colors
+
+MAX_FACES = 3000  # of the drawn mesh
+MAX_POINTS = 16_000  # of the scene's depth images together
+Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+
+def viewer_script() -> str:
+    """The JavaScript that draws every ``<canvas class="scene">`` from the JSON element after it."""
+    return files("simgen.previews").joinpath("scene_viewer.js").read_text(encoding="utf-8")
+
+
+def viewer_figure(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> str:
+    """A canvas with its controls, as HTML.
+
+    Args:
+        views: of one scene; the instances are drawn where the first one's labels say, and the depth of all as points.
+        bin_size: the scene's bin, where it is known.
+    """
+    document = json.dumps(scene_document(views, model, bin_size), separators=(",", ":")).replace("<", "\\u003c")
+    cameras = "".join(f"<option value={number}>view {view.view_index}</option>" for number, view in enumerate(views))
+    return f"""<figure class="viewer">
+<p><label>Seen from <select data-show="from"><option value="-1">anywhere</option>{cameras}</select></label>
+<label><input type="checkbox" data-show="mesh" checked> instances</label>
+<label><input type="checkbox" data-show="points" checked> measured points</label>
+<label><input type="checkbox" data-show="bin" checked> bin</label>
+<label><input type="checkbox" data-show="cameras"> cameras</label></p>
+<canvas class="scene" tabindex="0" aria-label="Three-dimensional view of scene {views[0].scene_index}"></canvas>
+<script type="application/json">{document}</script>
+<figcaption>Drag to turn, drag with Shift to move, click and then scroll (or + and −) to come nearer, double-click to
+start again.</figcaption>
+</figure>"""
+
+
+def scene_document(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> dict[str, Any]:
+    """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in metres."""
+    first = views[0]
+    labels = first.instances
+    vertices, faces = drawn_mesh(model)
+    points, numbers = measured_points(views)
+    palette = np.concatenate([[[0.55, 0.58, 0.62]], instance_colors(int(labels.instance.max(initial=-1)) + 1)])
+    return {
+        "vertices": _packed(vertices, "<f4"),
+        "faces": _packed(faces, "<u4"),
+        "world_from_obj": _packed(poses.invert(first.cam_from_world) @ labels.cam_from_obj, "<f4"),
+        "colors": _packed(palette[labels.instance + 1], "<f4"),
+        "points": _packed(points, "<f4"),
+        "point_colors": _packed(palette[np.minimum(numbers, len(palette) - 1)], "<f4"),
+        "cam_from_world": _packed(np.stack([view.cam_from_world for view in views]), "<f4"),
+        "camera": first.camera.to_json(),
+        "bin": None if bin_size is None else _sides(bin_size),
+    }
+
+
+def _sides(size: BinSize) -> dict[str, float]:
+    return {"width": size.width, "depth": size.depth, "height": size.height if size.walls else 0.0}
+
+
+def drawn_mesh(model: ObjectModel) -> Mesh:
+    """The object's mesh, of at most about MAX_FACES; empty where the model has none."""
+    if model.vertices is None or model.faces is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices, faces = np.asarray(model.vertices, np.float32), np.asarray(model.faces, np.int64)
+    if len(faces) > MAX_FACES:
+        vertices, faces = fast_simplification.simplify(vertices, faces, target_count=MAX_FACES)
+    return np.asarray(vertices, float), np.asarray(faces, np.int64)
+
+
+def measured_points(views: list[View]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points (n, 3) in the world frame that the depth images measured, evenly thinned, and their instance + 1 or 0."""
+    points, numbers = [], []
+    for view in views:
+        rows, columns = np.nonzero(view.depth_raw)
+        thinned = np.linspace(0, len(rows) - 1, min(len(rows), MAX_POINTS // len(views))).astype(int)
+        v, u = rows[thinned], columns[thinned]
+        measured = view.camera.unproject(np.stack([u, v], -1), view.depth[v, u])
+        points.append(poses.apply(poses.invert(view.cam_from_world), measured))
+        numbers.append(view.instance_id[v, u])
+    return np.concatenate(points), np.concatenate(numbers).astype(np.int64)
+
+
+def _packed(array: ArrayLike, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype).tobytes()).decode()

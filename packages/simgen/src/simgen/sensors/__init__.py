@@ -1,0 +1,1 @@
+"""What a real depth camera makes of ideal depth."""

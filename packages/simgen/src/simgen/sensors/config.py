@@ -1,0 +1,172 @@
+"""Which depth camera: its error model's parameters, where they come from, and how they are given on the command line.
+
+All is said in pixels of disparity, so that a camera's focal length and an object's distance do to the error what they
+do in reality: sigma_z = z^2 / (focal * baseline) * sigma_disparity. The pixels are those of the image that is built:
+for a sensor that delivers 640 x 480, build 640 x 480.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+
+IDEAL = "ideal"
+MOST_DISPARITY = 0.5  # of the image's width: nearer, what one eye sees the other hardly does
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """A depth camera that triangulates with a second eye, another camera or a projector, on its right (+x).
+
+    Attributes:
+        model: name of the preset that it came from.
+        baseline: metres between the two eyes.
+        noise_px: standard deviation of disparity on a surface that faces the camera.
+        noise_per_slope: growth of that with the surface's slope, times (1 + this * tan(slope)).
+        quantum_px: step of the disparity that is told.
+        smooth_missing: share of pixels without a return far from any edge; they come in blobs.
+        edge_missing: share without a return right beside a step, falling by e each `edge_reach_px` pixels.
+        edge_reach_px: see `edge_missing`.
+        step_px: neighbours whose disparity differs by more have a step between them.
+        shadow_missing: share without a return where the second eye sees something nearer.
+        wrong_patches: area of patches matched to another place's disparity, over the area close to steps.
+        steepest_degrees: steeper surfaces give no return.
+    """
+
+    model: str
+    baseline: float
+    noise_px: float
+    noise_per_slope: float
+    quantum_px: float
+    smooth_missing: float
+    edge_missing: float
+    edge_reach_px: float
+    step_px: float
+    shadow_missing: float
+    wrong_patches: float
+    steepest_degrees: float
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("baseline", 1e-4, 10.0),
+            ("noise_px", 0.0, 10.0),
+            ("noise_per_slope", 0.0, 10.0),
+            ("quantum_px", 1e-4, 10.0),
+            ("smooth_missing", 0.0, 1.0),
+            ("edge_missing", 0.0, 1.0),
+            ("edge_reach_px", 0.1, 100.0),
+            ("step_px", 1e-3, 100.0),
+            ("shadow_missing", 0.0, 1.0),
+            ("wrong_patches", 0.0, 1.0),
+            ("steepest_degrees", 1.0, 90.0),
+        ):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and least <= value <= most):
+                raise InputError(f"--sensor {self.model}: {name} {value:g} must be {least:g} to {most:g}.")
+
+    def sigma(self, camera: Camera, distance: float) -> float:
+        """Standard deviation in metres of the depth of a surface that faces the camera at `distance` metres."""
+        return self.noise_px * distance**2 / (camera.fx * self.baseline)
+
+    def describe(self, camera: Camera, nearest: float, farthest: float) -> str:
+        """One line: the noise that the parameters come to with this camera, and all of them."""
+        near, far = (1e3 * self.sigma(camera, distance) for distance in (nearest, farthest))
+        values = ", ".join(f"{f.name} {getattr(self, f.name):g}" for f in fields(self) if f.name != "model")
+        return (
+            f"Sensor {self.model}: depth noise of {near:.2g} mm at {nearest:.2g} m to {far:.2g} mm at {farthest:.2g} m "
+            f"({values})."
+        )
+
+    def require_range(self, camera: Camera, nearest: float) -> None:
+        """Refuse a baseline too long for the distance.
+
+        Raises:
+            InputError: at `nearest` metres the two eyes see different things.
+        """
+        disparity, most = camera.fx * self.baseline / nearest, MOST_DISPARITY * camera.width
+        if disparity > most:
+            fitting = float(f"{0.5 * most * nearest / camera.fx:.1g}")
+            raise InputError(
+                f"--sensor {self.model}: from {nearest:.2g} m its two eyes, {self.baseline:g} m apart, would see "
+                f"different places; give a shorter baseline, as in --sensor {self.model},baseline={fitting:g}."
+            )
+
+
+def stereo() -> SensorConfig:
+    """Two cameras with block matching: the errors measured on the Siléane bunny at 1.3 m (DESIGN.md, section 6).
+
+    The baseline is a compact camera's, a choice; so are the disparity's step (1/32 px, usual for such cameras), the
+    jump that makes a step and the slope that still returns. The rest is fitted to DESIGN.md's figures, beside which
+    benchmarks/bench_sensor.py prints ours.
+    """
+    return SensorConfig(
+        model="stereo",
+        baseline=0.06,
+        noise_px=0.065,
+        noise_per_slope=0.33,
+        quantum_px=1 / 32,
+        smooth_missing=0.028,
+        edge_missing=0.45,
+        edge_reach_px=3.0,
+        step_px=1.0,
+        shadow_missing=0.74,
+        wrong_patches=0.38,
+        steepest_degrees=80.0,
+    )
+
+
+def kinect() -> SensorConfig:
+    """Structured light as in the first Kinect.
+
+    Khoshelham & Elberink 2012: baseline 7.5 cm, disparity in steps of 1/8 px, a random error of half a step (1.4 mm at
+    1 m, 4 cm at 5 m, growing with the square of the distance). Nguyen et al. 2012: axial noise grows with the slope,
+    and edges are ragged by about a pixel, here by what is missing beside them. Where the projector's pattern does not
+    fall nothing returns. Next to nothing is missing on smooth surface: 0 to 0.3 % in a frame of the ICVL dataset, whose
+    camera is of this kind. The share missing beside steps is an assumption.
+    """
+    return SensorConfig(
+        model="kinect",
+        baseline=0.075,
+        noise_px=1 / 16,
+        noise_per_slope=0.3,
+        quantum_px=1 / 8,
+        smooth_missing=0.003,
+        edge_missing=0.25,
+        edge_reach_px=1.5,
+        step_px=0.5,
+        shadow_missing=1.0,
+        wrong_patches=0.05,
+        steepest_degrees=80.0,
+    )
+
+
+SENSORS: dict[str, Callable[[], SensorConfig]] = {"stereo": stereo, "kinect": kinect}
+
+
+def parse_sensor(text: str) -> SensorConfig | None:
+    """``ideal`` (None), ``stereo``, ``kinect``, or one of these with changes: ``stereo,baseline=0.1,noise_px=0.1``.
+
+    Raises:
+        InputError: there is no such sensor or parameter, or a value is not a number within its bounds.
+    """
+    name, *changes = (part.strip() for part in text.split(","))
+    if name == IDEAL and not changes:
+        return None
+    if name not in SENSORS:
+        raise InputError(f"--sensor {text}: use {IDEAL}, {' or '.join(SENSORS)}, as in --sensor stereo,baseline=0.1.")
+    known = [f.name for f in fields(SensorConfig) if f.name != "model"]
+    values: dict[str, float] = {}
+    for change in changes:
+        key, _, value = (part.strip() for part in change.partition("="))
+        if key not in known:
+            raise InputError(f"--sensor {text}: '{change}' is not parameter=value with one of {', '.join(known)}.")
+        try:
+            values[key] = float(value)
+        except ValueError:
+            raise InputError(f"--sensor {text}: '{change}' needs a number, as in {key}=0.1.") from None
+    preset = SENSORS[name]()
+    return SensorConfig(**{f.name: values.get(f.name, getattr(preset, f.name)) for f in fields(preset)})

@@ -1,0 +1,302 @@
+"""A depth camera's error: from ideal depth to what a triangulating sensor would tell.
+
+Everything happens in disparity, focal * baseline / z, where matching makes its mistakes:
+
+* noise, correlated as far as a matching window reaches, growing with slope;
+* shadows: what the second eye does not see, always on the same side of what is nearer;
+* failures of matching, in blobs, rare on smooth surface and frequent beside steps;
+* wrong patches: around steps, whole windows matched to another place's disparity;
+* steps of disparity.
+
+A pixel with a return is visible, be the return right or wrong: labels tell which surface lies there, and no error of
+the sensor moves an instance.
+
+What is not modelled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
+Sources of the parameters are in :mod:`simgen.sensor_config`.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.geometry.camera import Camera
+from simgen.sensors.config import SensorConfig
+
+SENSOR_STAGE = 7  # second word of the spawn key; drops, viewpoints and bins use others
+EDGE_REACH = 8  # pixels; farther from a step a surface counts as smooth
+CLOSE = 4  # pixels from a step within which wrong patches have their middles
+PATCH_RADIUS = (2.0, 5.0)  # pixels, of wrong patches
+PATCH_JUMP = 4.0  # pixels beyond its own rim from which a wrong patch may have its disparity
+FAILURE_BLUR = 2.5  # pixels; failures are where a field so smooth is lowest
+# White noise plus two blurs of it, whose correlation is 0.63 / 0.44 / 0.32 / 0.17 at 1 / 2 / 3 / 5 pixels (DESIGN.md)
+NOISE_BLURS = ((2.5, 1.0), (9.5, 3.1))  # weight, standard deviation in pixels
+
+Image = NDArray[np.float32]
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+def sensor_generator(seed: int, scene: int, view: int) -> np.random.Generator:
+    """The randomness of one frame's sensor."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene, SENSOR_STAGE, view)))
+
+
+def measure(depth: Image, camera: Camera, sensor: SensorConfig, rng: np.random.Generator) -> Image:
+    """What the sensor tells of an ideal depth image.
+
+    Args:
+        depth: (H, W) axial metres, 0 = nothing there.
+        camera: the intrinsics, those of both eyes.
+
+    Returns:
+        (H, W) axial metres, 0 = no return. Where there is nothing nothing returns.
+    """
+    scale = camera.fx * sensor.baseline
+    disparity = disparities(depth, scale)
+    to_step = distance_to_step(disparity, sensor.step_px)
+    wrong = wrong_patches(disparity, to_step, sensor.wrong_patches, rng)
+    noise = matching_noise(depth.shape, rng)
+    failure = failure_field(depth.shape, rng)
+    slopes = np.array([camera.fx, camera.fy, math.tan(math.radians(min(sensor.steepest_degrees, 89.9)))])
+    amount = np.array([sensor.noise_px, sensor.noise_per_slope, sensor.quantum_px])
+    limits, shadow = failure_limits(sensor), np.float64(_quantile(sensor.shadow_missing))
+    return np.asarray(
+        _told(disparity, to_step, shadows(disparity), wrong, noise, failure, limits, shadow, slopes, amount, scale)
+    )
+
+
+def failure_limits(sensor: SensorConfig) -> NDArray[np.float64]:
+    """Values of :func:`failure_field` below which matching fails, for each distance to a step 0 .. EDGE_REACH + 1."""
+    smooth, edge = sensor.smooth_missing, sensor.edge_missing
+    beside = (edge * math.exp(-max(distance - 1, 0) / sensor.edge_reach_px) for distance in range(EDGE_REACH + 1))
+    return np.array([_quantile(1 - (1 - smooth) * (1 - share)) for share in beside] + [_quantile(smooth)])
+
+
+def _quantile(share: float) -> float:
+    """Below which a standard normal number lies with this probability."""
+    if not 0 < share < 1:
+        return -math.inf if share <= 0 else math.inf
+    return NormalDist().inv_cdf(share)
+
+
+@_compiled
+def disparities(depth, scale):  # type: ignore[no-untyped-def]
+    """`scale` / depth (H, W), 0 where there is nothing."""
+    out = np.zeros(depth.shape, np.float32)
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if depth[v, u] > 0:
+                out[v, u] = scale / depth[v, u]
+    return out
+
+
+@_compiled
+def distance_to_step(disparity, step):  # type: ignore[no-untyped-def]
+    """Chessboard distance in pixels (H, W) to the other side of the nearest step, at most EDGE_REACH + 1.
+
+    The two pixels of a step, neighbours in a row or a column, are at distance 1.
+    """
+    height, width = disparity.shape
+    out = np.full((height, width), EDGE_REACH + 1, np.uint8)
+    for v in range(height):
+        for u in range(width):
+            if u + 1 < width and abs(disparity[v, u + 1] - disparity[v, u]) > step:
+                out[v, u] = out[v, u + 1] = 1
+            if v + 1 < height and abs(disparity[v + 1, u] - disparity[v, u]) > step:
+                out[v, u] = out[v + 1, u] = 1
+    one = np.uint8(1)
+    for v in range(height):
+        for u in range(width):
+            least = out[v, u] - one
+            if u > 0:
+                least = min(least, out[v, u - 1])
+            if v > 0:
+                least = min(least, out[v - 1, u], out[v - 1, max(u - 1, 0)], out[v - 1, min(u + 1, width - 1)])
+            out[v, u] = least + one
+    for v in range(height - 1, -1, -1):
+        for u in range(width - 1, -1, -1):
+            least = out[v, u] - one
+            if u + 1 < width:
+                least = min(least, out[v, u + 1])
+            if v + 1 < height:
+                least = min(least, out[v + 1, u], out[v + 1, max(u - 1, 0)], out[v + 1, min(u + 1, width - 1)])
+            out[v, u] = least + one
+    return out
+
+
+@_compiled
+def shadows(disparity):  # type: ignore[no-untyped-def]
+    """Where the second eye, on the right, sees something nearer instead (H, W).
+
+    It sees pixel u of a row at u - disparity; whatever to the right of u it sees at or left of that place is before u.
+    """
+    height, width = disparity.shape
+    out = np.zeros((height, width), np.bool_)
+    for v in range(height):
+        leftmost = np.float32(np.inf)
+        for u in range(width - 1, -1, -1):
+            if disparity[v, u] > 0:
+                place = np.float32(u) - disparity[v, u]
+                out[v, u] = place >= leftmost
+                leftmost = min(leftmost, place)
+    return out
+
+
+def wrong_patches(disparity: Image, to_step: NDArray[np.uint8], share: float, rng: np.random.Generator) -> Image:
+    """Disparity of patches that are matched to another place's (H, W), 0 where there is none.
+
+    The patches are ellipses whose middles are close to steps; together they have `share` of the area that is.
+    """
+    out = np.zeros_like(disparity)
+    close = np.flatnonzero((to_step <= CLOSE) & (disparity > 0))
+    low, high = PATCH_RADIUS
+    mean_area = math.pi * ((low + high) / 2) ** 2
+    count = int(rng.poisson(share * len(close) / mean_area))
+    if count == 0 or len(close) == 0:
+        return out
+    middles = close[rng.integers(0, len(close), count)]
+    radii = rng.uniform(low, high, (count, 2))
+    angle, jump = rng.uniform(0, 2 * math.pi, count), rng.uniform(0, PATCH_JUMP, count) + radii.max(1)
+    offsets = np.rint(np.stack([jump * np.cos(angle), jump * np.sin(angle)], 1)).astype(np.int64)
+    _put_patches(disparity, middles, radii, offsets, out)
+    return out
+
+
+@_compiled
+def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    for i in range(len(middles)):
+        v0, u0 = middles[i] // width, middles[i] % width
+        u, v = u0 + offsets[i, 0], v0 + offsets[i, 1]
+        if not (0 <= u < width and 0 <= v < height) or disparity[v, u] == 0:
+            continue
+        value, a, b = disparity[v, u], radii[i, 0], radii[i, 1]
+        for v in range(max(0, int(v0 - b)), min(height, int(v0 + b) + 1)):
+            for u in range(max(0, int(u0 - a)), min(width, int(u0 + a) + 1)):
+                if ((u - u0) / a) ** 2 + ((v - v0) / b) ** 2 <= 1:
+                    out[v, u] = value
+
+
+def matching_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
+    """Normal numbers (H, W) of variance 1, correlated as neighbouring matching windows are."""
+    kernels = [(weight, _taps(deviation)) for weight, deviation in NOISE_BLURS]
+    margin = max(len(taps) // 2 for _, taps in kernels)
+    square = np.zeros((2 * margin + 1,) * 2)
+    square[margin, margin] = 1
+    for weight, taps in kernels:
+        inside = slice(margin - len(taps) // 2, margin + len(taps) // 2 + 1)
+        square[inside, inside] += weight * np.outer(taps, taps)
+    white = rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
+    white *= np.float32(1 / np.linalg.norm(square))
+    total = white[margin : margin + shape[0], margin : margin + shape[1]].copy()
+    for weight, taps in kernels:
+        _add_blurred(white, taps, margin, np.float32(weight), total)
+    return total
+
+
+def failure_field(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
+    """Numbers (H, W) of mean 0 and variance 1 that vary slowly, so that where they are low are blobs.
+
+    Each is a weighted sum of hundreds of uniform numbers and so as good as normal.
+    """
+    taps = _taps(FAILURE_BLUR)
+    margin = len(taps) // 2
+    white = rng.random((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
+    white -= np.float32(0.5)
+    smooth = np.zeros(shape, np.float32)
+    _add_blurred(white, taps, margin, np.float32(math.sqrt(12) / np.sum(taps.astype(float) ** 2)), smooth)
+    return smooth
+
+
+def _taps(deviation: float) -> NDArray[np.float32]:
+    """A Gaussian window of odd length that sums to 1, to three standard deviations."""
+    reach = math.ceil(3 * deviation)
+    window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
+    return (window / window.sum()).astype(np.float32)
+
+
+@_compiled
+def _add_blurred(field, taps, margin, weight, out):  # type: ignore[no-untyped-def]
+    """Add to `out` (H, W) `weight` times `field` (H + 2 margin, W + 2 margin) convolved with `taps` both ways.
+
+    Four taps at once: so compiled, it takes a seventh of the time of one after the other, and gives the same bits.
+    """
+    count, reach = len(taps), len(taps) // 2
+    first, fours = margin - reach, count // 4 * 4
+    along = np.zeros((out.shape[0] + 2 * reach, out.shape[1]), np.float32)
+    for v in range(len(along)):
+        line = field[first + v, first:]
+        for k in range(0, fours, 4):
+            _add_four(along[v], taps[k : k + 4], line[k:], line[k + 1 :], line[k + 2 :], line[k + 3 :])
+        for k in range(fours, count):
+            _add_one(along[v], taps[k], line[k:])
+    taps = weight * taps
+    for v in range(len(out)):
+        for k in range(0, fours, 4):
+            _add_four(out[v], taps[k : k + 4], along[v + k], along[v + k + 1], along[v + k + 2], along[v + k + 3])
+        for k in range(fours, count):
+            _add_one(out[v], taps[k], along[v + k])
+
+
+@_compiled
+def _add_four(out, taps, a, b, c, d):  # type: ignore[no-untyped-def]
+    ta, tb, tc, td = taps[0], taps[1], taps[2], taps[3]
+    for u in range(len(out)):
+        out[u] = out[u] + ta * a[u] + tb * b[u] + tc * c[u] + td * d[u]
+
+
+@_compiled
+def _add_one(out, tap, line):  # type: ignore[no-untyped-def]
+    for u in range(len(out)):
+        out[u] += tap * line[u]
+
+
+@_compiled
+def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
+    """Depth in metres (H, W) from true and wrong disparities, unit noise and where matching fails."""
+    height, width = disparity.shape
+    fx, fy, steepest = slopes
+    noise_px, per_slope, quantum = amount
+    out = np.zeros((height, width), np.float32)
+    for v in range(height):
+        for u in range(width):
+            true = disparity[v, u]
+            if true == 0:
+                continue
+            limit = limits[to_step[v, u]]
+            if failure[v, u] < (max(limit, shadow) if hidden[v, u] else limit):
+                continue
+            left, right = _neighbours(u, width)
+            above, below = _neighbours(v, height)
+            across = _gentler(disparity[v, left], true, disparity[v, right])
+            down = _gentler(disparity[above, u], true, disparity[below, u])
+            slope = math.sqrt((fx * across) ** 2 + (fy * down) ** 2) / true
+            if slope > steepest:
+                continue
+            found = wrong[v, u] if wrong[v, u] > 0 else true
+            found = found + noise_px * (1 + per_slope * slope) * noise[v, u]
+            found = math.floor(found / quantum + 0.5) * quantum
+            if found > 0:
+                out[v, u] = scale / found
+    return out
+
+
+@_compiled
+def _neighbours(place, count):  # type: ignore[no-untyped-def]
+    """The places before and after; at either end twice the same."""
+    before, after = place - 1, place + 1
+    if before < 0:
+        before = min(after, count - 1)
+    if after == count:
+        after = before
+    return before, after
+
+
+@_compiled
+def _gentler(before, here, after):  # type: ignore[no-untyped-def]
+    """The smaller of the two differences, so that a step beside the pixel does not count as its slope."""
+    return min(abs(here - before), abs(after - here))

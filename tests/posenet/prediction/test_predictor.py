@@ -1,0 +1,207 @@
+"""Prediction takes what users have, and says in one sentence what it cannot take."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from evalkit.datasets.documents import read_predictions
+from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+from posenet.commands.cli import main
+from posenet.config import preset
+from posenet.models.model_file import save_model
+from posenet.network.pose_network import PoseNetwork
+from posenet.prediction.images import read_depth
+from posenet.prediction.predictor import Predictor
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def predictor(run_folder: Path) -> Predictor:
+    return Predictor.load(run_folder, "cpu")
+
+
+def test_poses_come_sorted_in_front_of_the_camera(predictor: Predictor, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    found = predictor.predict(view.depth, view.camera)
+    assert len(found.score) > 0
+    assert (np.diff(found.score) <= 0).all() and found.score.min() >= 0 and found.score.max() <= 1
+    assert (predictor.model.centers(found.cam_from_obj)[:, 2] > 0).all()
+
+
+def test_a_batch_gives_what_single_images_give(predictor: Predictor, debug_shards: Path) -> None:
+    dataset = ShardDataset(debug_shards)
+    depths = [dataset[i].depth for i in range(2)]
+    together = predictor.predict_batch(depths, dataset.header.camera)
+    alone = [predictor.predict(depth, dataset.header.camera) for depth in depths]
+    for a, b in zip(together, alone, strict=True):
+        assert abs(len(a.score) - len(b.score)) <= 5  # bf16 sums in another order near the detector's threshold
+
+
+def test_holes_and_nan_are_no_return(predictor: Predictor, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    empty = predictor.predict(np.zeros_like(view.depth), view.camera)
+    assert len(empty.score) == 0
+    holed, broken = view.depth.copy(), view.depth.copy()
+    holed[:20], broken[:20] = 0.0, np.nan
+    a, b = predictor.predict(holed, view.camera), predictor.predict(broken, view.camera)
+    np.testing.assert_array_equal(a.cam_from_obj, b.cam_from_obj)
+
+
+def test_millimetres_read_as_metres_are_refused(predictor: Predictor, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    with pytest.raises(InputError, match="--depth-unit"):
+        predictor.predict(view.depth * 1000, view.camera)
+
+
+def test_an_image_of_another_size_than_its_camera_is_refused(predictor: Predictor, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    with pytest.raises(InputError, match="pixels but the camera says"):
+        predictor.predict(view.depth[:50], view.camera)
+
+
+def test_refinement_returns_fewer_poses_each_once(run_folder: Path, predictor: Predictor, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    refined = Predictor.load(run_folder, "cpu", refine=True).predict(view.depth, view.camera)
+    assert 0 < len(refined.score) < len(predictor.predict(view.depth, view.camera).score)
+    assert (np.diff(refined.score) <= 0).all()
+
+
+def test_labels_of_the_shards_are_not_read(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from evalkit.datasets.shard_reader import ShardReader
+    from posenet.commands.predict import predict
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("prediction looked at the labels")
+
+    monkeypatch.setattr(ShardReader, "labels", forbidden)
+    monkeypatch.setattr(ShardReader, "__getitem__", forbidden)
+    predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
+    assert len(read_predictions(tmp_path / "preds.json").images) == 2
+
+
+def write_image(view: object, folder: Path, suffix: str) -> Path:
+    path = folder / f"depth{suffix}"
+    depth = view.depth  # type: ignore[attr-defined]
+    if suffix == ".npy":
+        np.save(path, depth)
+    elif suffix == ".tiff":
+        cv2.imwrite(str(path), depth)
+    else:
+        cv2.imwrite(str(path), np.round(depth * 1000).astype(np.uint16))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff", ".npy"])
+def test_every_kind_of_depth_image_reads_as_metres(debug_shards: Path, tmp_path: Path, suffix: str) -> None:
+    view = ShardDataset(debug_shards)[0]
+    path = write_image(view, tmp_path, suffix)
+    depth = read_depth(path, 0.001 if suffix == ".png" else None)
+    assert np.abs(depth - view.depth).max() <= 0.00051
+
+
+def test_one_image_on_the_command_line_gives_poses_and_a_picture(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, run_command: Command
+) -> None:
+    view = ShardDataset(debug_shards)[0]
+    image = write_image(view, tmp_path, ".png")
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(view.camera.to_json()))
+    done = run_command(
+        "posenet", "predict", run_folder, image, "--camera", camera, "--depth-unit", 0.001, "-o",
+        tmp_path / "preds.json", "--picture", tmp_path / "out.png",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(read_predictions(tmp_path / "preds.json").images[0].score) > 0
+    picture = cv2.imread(str(tmp_path / "out.png"))
+    assert picture is not None and picture.std() > 5
+
+
+def test_a_folder_of_images_gives_what_its_shards_give(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, run_command: Command
+) -> None:
+    """One command for both, with every ablation at once."""
+    dataset = ShardDataset(debug_shards)
+    folder, camera = tmp_path / "images", tmp_path / "camera.json"
+    folder.mkdir()
+    camera.write_text(json.dumps(dataset.header.camera.to_json()))
+    for view in dataset:
+        cv2.imwrite(str(folder / f"{view.image_id}.png"), view.depth_raw)
+    ablations = ("--no-registration", "--no-offset", "--hypotheses", 2)
+    described = ("--camera", camera, "--depth-unit", dataset.header.depth_unit)
+    found = []
+    for number, source in enumerate([(debug_shards,), (folder, *described)]):
+        out = tmp_path / f"{number}.json"
+        done = run_command("posenet", "predict", run_folder, *source, *ablations, "-o", out)
+        assert done.returncode == 0, done.stderr
+        found.append(read_predictions(out).images)
+    assert [image.id for image in found[0]] == [image.id for image in found[1]] == [view.image_id for view in dataset]
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a.cam_from_obj, b.cam_from_obj, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["predict", "nowhere", "{shards}"], "nowhere"),
+        (["predict", "{run}", "nowhere"], "nowhere"),
+        (["predict", "{run}", "{text}", "--camera", "{camera}", "--depth-unit", "0.001"], "text.png"),
+        (["predict", "{run}", "{image}"], "--camera"),
+        (["predict", "{run}", "{image}", "--camera", "{camera}"], "--depth-unit"),
+        (["predict", "{run}", "{image}", "--camera", "{camera}", "--depth-unit", "1.0"], "--depth-unit"),
+        (["predict", "{run}", "{image}", "--camera", "{text}", "--depth-unit", "0.001"], "text.png"),
+        (["info", "{text}"], "text.png"),
+        (["fit", "{run}", "-o", "{out}"], "shards"),
+        (["fit", "{shards}", "-o", "{out}", "--device", "abacus"], "--device"),
+    ],
+)
+def test_wrong_input_gets_one_sentence_and_exit_code_2(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, run_command: Command, arguments: list[str], says: str
+) -> None:
+    view = ShardDataset(debug_shards)[0]
+    text, camera = tmp_path / "text.png", tmp_path / "camera.json"
+    text.write_text("no picture")
+    camera.write_text(json.dumps(view.camera.to_json()))
+    image = write_image(view, tmp_path, ".png")
+    places = dict(run=run_folder, shards=debug_shards, text=text, camera=camera, image=image, out=tmp_path / "out")  # noqa: C408
+    done = run_command("posenet", *[argument.format(**places) for argument in arguments])
+    assert done.returncode == 2
+    assert says in done.stderr and "Traceback" not in done.stderr
+    assert len([line for line in done.stderr.splitlines() if line.startswith("Error:")]) == 1
+
+
+def test_an_unknown_camera_field_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"width": 10, "height": 10, "fx": 1.0, "fy": 1.0, "cx": 1.0}))
+    with pytest.raises(InputError, match="'cy'"):
+        Camera.load(path)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
+    debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = ShardDataset(debug_shards).header
+    save_model(tmp_path / "model.pt", PoseNetwork(preset("debug"), header.object, (0.3, 0.6), header.camera), {})
+
+    def never(*_: object) -> None:
+        raise AssertionError("predicted all the same")
+
+    monkeypatch.setattr(Predictor, "predict_batch", never)
+    file = tmp_path / "file"
+    file.write_text("not a folder")
+    for words in (["-o", file / "preds.json"], ["-o", tmp_path / "preds.json", "--picture", file / "a.png"]):
+        done = CliRunner().invoke(main, ["predict", str(tmp_path / "model.pt"), str(debug_shards), *map(str, words)])
+        assert done.exit_code == 2, done.output
+        assert str(file) in done.output and "Traceback" not in done.output

@@ -1,0 +1,135 @@
+"""Depth images come from shards, files, folders and Siléane's folders; all say metres, names and one camera."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+from posenet.prediction.images import read_clipped_depth
+from posenet.prediction.sources import open_source
+
+CAMERA = Camera(40, 30, 50.0, 51.0, 19.0, 15.5)
+CLIP = (0.87599, 1.70602)
+
+
+def depth_image(seed: int = 0) -> np.ndarray:
+    depth = np.random.default_rng(seed).uniform(1.0, 1.6, (CAMERA.height, CAMERA.width)).astype(np.float32)
+    depth[:3] = 0.0
+    return depth
+
+
+def write_camera(folder: Path) -> Path:
+    path = folder / "camera.json"
+    path.write_text(json.dumps(CAMERA.to_json()))
+    return path
+
+
+def write_folder(folder: Path, names: tuple[str, ...] = ("b", "a", "c")) -> Path:
+    folder.mkdir(exist_ok=True)
+    for seed, name in enumerate(names):
+        cv2.imwrite(str(folder / f"{name}.png"), np.round(depth_image(seed) * 1e4).astype(np.uint16))
+    return folder
+
+
+def write_sileane(folder: Path, names: tuple[str, ...] = ("bunny_3_070", "bunny_3_071")) -> Path:
+    (folder / "depth").mkdir(parents=True)
+    lines = [
+        f"width\t{CAMERA.width}", f"height\t{CAMERA.height}", f"fu\t{CAMERA.fx}", f"fv\t{CAMERA.fy}",
+        f"cu\t{CAMERA.cx}", f"cv\t{CAMERA.cy}", f"clip_start\t{CLIP[0]}", f"clip_end\t{CLIP[1]}",
+        "location\t0\t0\t1.5", "rotation\t0\t1\t0\t0",
+    ]  # fmt: skip
+    (folder / "camera_params.txt").write_text("\n".join(lines))
+    for seed, name in enumerate(names):
+        coded = np.round((depth_image(seed) - CLIP[0]) / (CLIP[1] - CLIP[0]) * 65535)
+        cv2.imwrite(str(folder / "depth" / f"{name}.PNG"), np.clip(coded, 0, 65535).astype(np.uint16))
+    return folder
+
+
+def test_shards_give_the_depth_and_the_names_of_their_frames(debug_shards: Path) -> None:
+    source, dataset = open_source(debug_shards), ShardDataset(debug_shards)
+    assert source.camera == dataset.header.camera
+    assert len(set(source.names)) == len(dataset)
+    for number in (0, len(dataset) - 1):
+        np.testing.assert_array_equal(source.read(number), dataset[number].depth)
+        reader, row = dataset.locate(number)
+        assert source.names[number] == reader.image_id(row)
+
+
+def test_a_folder_of_images_is_read_in_the_order_of_its_names(tmp_path: Path) -> None:
+    source = open_source(write_folder(tmp_path / "images"), write_camera(tmp_path), 1e-4)
+    assert source.names == ["a", "b", "c"]
+    assert source.camera == CAMERA
+    for number, seed in enumerate((1, 0, 2)):
+        assert np.abs(source.read(number) - depth_image(seed)).max() <= 0.51e-4
+
+
+def test_a_sileane_folder_is_read_by_its_own_camera_and_clipping_planes(tmp_path: Path) -> None:
+    folder = write_sileane(tmp_path / "bunny")
+    for source in (open_source(folder), open_source(folder / "depth")):
+        assert source.names == ["bunny_3_070", "bunny_3_071"]  # as the scenes of gt/*.json are named
+        assert source.camera == CAMERA
+        assert np.abs(source.read(1) - depth_image(1)).max() <= (CLIP[1] - CLIP[0]) / 65535
+
+
+def test_both_ends_of_sileanes_scale_are_no_return(tmp_path: Path) -> None:
+    path = tmp_path / "depth.png"
+    cv2.imwrite(str(path), np.array([[0, 1, 65534, 65535]], np.uint16))
+    depth = read_clipped_depth(path, (1.0, 2.0))[0]
+    assert depth[0] == 0 and depth[3] == 0
+    np.testing.assert_allclose(depth[1:3], [1.0, 2.0], atol=2e-5)
+
+
+def test_a_camera_that_the_user_gives_goes_before_camera_params(tmp_path: Path) -> None:
+    folder = write_folder(write_sileane(tmp_path / "bunny"))
+    assert open_source(folder, write_camera(tmp_path), 1e-4).names == ["a", "b", "c"]
+
+
+def test_the_camera_may_be_as_ros_or_bop_write_it(tmp_path: Path) -> None:
+    folder, ros, bop = write_folder(tmp_path / "images"), tmp_path / "info.yaml", tmp_path / "bop.json"
+    ros.write_text("height: 30\nwidth: 40\ndistortion_model: plumb_bob\nk: [50.0, 0, 19.0, 0, 51.0, 15.5, 0, 0, 1]\n")
+    bop.write_text(json.dumps(CAMERA.to_json() | {"depth_scale": 0.1}))
+    for path in (ros, bop):
+        assert open_source(folder, path, 1e-4).camera == CAMERA
+    ros.write_text(ros.read_text().replace("plumb_bob", "equidistant"))
+    with pytest.raises(InputError, match=r"info\.yaml.*equidistant"):
+        open_source(folder, ros, 1e-4)
+
+
+def test_few_of_many_images_are_spread_over_the_source(debug_shards: Path) -> None:
+    source = open_source(debug_shards)
+    assert source.spread(2) == [0, len(source.names) - 1]
+    assert source.spread(None) == source.spread(10**6) == list(range(len(source.names)))
+
+
+def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    camera, empty, twins = write_camera(tmp_path), tmp_path / "empty", write_folder(tmp_path / "twins")
+    empty.mkdir()
+    np.save(twins / "a.npy", depth_image())
+    eight_bit, archive = tmp_path / "grey.png", tmp_path / "archive.npy"
+    cv2.imwrite(str(eight_bit), np.zeros((30, 40), np.uint8))
+    with open(archive, "wb") as file:
+        np.savez(file, depth_image())
+    flipped = write_sileane(tmp_path / "flipped")
+    parameters = (flipped / "camera_params.txt").read_text()
+    (flipped / "camera_params.txt").write_text(parameters.replace(f"clip_end\t{CLIP[1]}", "clip_end\t0.1"))
+    refusals = [
+        (tmp_path / "absent", None, "absent"),
+        (tmp_path / "absent.png", camera, "absent.png"),
+        (empty, camera, "neither shards nor depth images"),
+        (twins, camera, "same name"),
+        (write_folder(tmp_path / "plain"), None, "--camera"),
+        (eight_bit, camera, "8-bit"),
+        (archive, camera, "archive.npy"),
+        (flipped, None, "clip_start"),
+    ]
+    for path, camera_file, says in refusals:
+        with pytest.raises(InputError, match=says) as caught:
+            open_source(path, camera_file, 1e-4 if camera_file else None).read(0)
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,129 @@
+"""Damage is found, named, and mended to the byte, from the folder alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from evalkit.datasets.shard_folder import DATASET_FILE, shard_name
+from simgen.building.build import build
+from simgen.commands.cli import cli
+from simgen.config import debug
+from simgen.objects.prepare import prepare_object
+from simgen.scenes.job import plan
+
+
+def verify(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["verify", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three shards of one scene."""
+    folder = tmp_path_factory.mktemp("built") / "shards"
+    prepared = prepare_object("brick")
+    config = replace(debug(), scenes=3, views=1, shard_scenes=1)
+    build(plan(config, prepared.model, prepared.convex_parts), folder, workers=1)
+    return folder
+
+
+@pytest.fixture
+def copy(built: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(built, tmp_path / "copy"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip_a_bit(path: Path) -> None:
+    spoilt = bytearray(path.read_bytes())
+    spoilt[len(spoilt) // 2] ^= 4
+    path.write_bytes(spoilt)
+
+
+def test_damaged_and_missing_shards_are_named_and_rebuilt_to_the_byte(built: Path, copy: Path) -> None:
+    truncate(copy / shard_name(0))
+    flip_a_bit(copy / shard_name(2))
+    found = verify(copy)
+    assert found.exit_code == 2
+    assert f"{shard_name(0)}: " in found.stderr and f"{shard_name(2)}: " in found.stderr
+    assert f"{shard_name(1)}: " not in found.stderr
+    assert "'simgen verify --repair" in found.stderr
+    (copy / shard_name(0)).unlink()
+    mended = verify(copy, "--repair", "--workers", "1")
+    assert mended.exit_code == 0, mended.output
+    assert f"{shard_name(0)} was missing and has been rebuilt." in mended.output
+    assert f"{shard_name(2)} was damaged and has been rebuilt." in mended.output
+    assert "all checksums and label laws hold" in mended.output
+    assert contents(copy) == contents(built)
+
+
+def test_where_every_shard_is_damaged_the_object_is_read_from_what_is_left(built: Path, copy: Path) -> None:
+    for shard in range(3):
+        path = copy / shard_name(shard)
+        spoilt = bytearray(path.read_bytes())
+        spoilt[100] ^= 1  # in the checksum's own block
+        path.write_bytes(spoilt)
+        flip_a_bit(path) if shard else path.write_bytes(spoilt[:40] + b"0000" + spoilt[44:])
+    assert verify(copy, "--repair", "--workers", "1").exit_code == 0
+    assert contents(copy) == contents(built)
+
+
+def test_a_sound_dataset_is_left_alone(copy: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in copy.iterdir()}
+    result = verify(copy, "--repair")
+    assert result.exit_code == 0 and "rebuilt" not in result.output
+    assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda d: d["config"].update(geometry_sha256="0" * 64), "come out differently here"),
+        (lambda d: d["config"].update(layouts={"format": "sileane"}), "its scenes were not simulated here"),
+        (lambda d: d["config"].pop("views"), "'views' is not as this version has it"),
+    ],
+)
+def test_what_the_folder_alone_cannot_mend_is_said(copy: Path, spoil: Callable[[dict], object], sentence: str) -> None:
+    document = json.loads((copy / DATASET_FILE).read_text())
+    spoil(document)
+    (copy / DATASET_FILE).write_text(json.dumps(document))
+    before = contents(copy)
+    result = verify(copy, "--repair")
+    assert result.exit_code == 2 and sentence in result.stderr.splitlines()[-1]
+    assert contents(copy) == before
+
+
+def test_a_folder_without_readable_shards_and_a_single_file_are_refused(copy: Path) -> None:
+    truncate(copy / shard_name(0))
+    result = verify(copy / shard_name(0), "--repair")
+    assert result.exit_code == 2 and "--repair needs the folder" in result.stderr
+    for shard in range(3):
+        (copy / shard_name(shard)).write_bytes(b"gone")
+    result = verify(copy, "--repair")
+    assert result.exit_code == 2 and "no shard is left to read the object from" in result.stderr
+
+
+def test_any_flipped_bit_is_a_problem_told_and_no_crash(copy: Path) -> None:
+    path, rng = copy / shard_name(1), np.random.default_rng(0)
+    sound = path.read_bytes()
+    for number in range(24):
+        spoilt = bytearray(sound)
+        place = int(rng.integers(512, 4096 if number % 2 else len(sound)))
+        spoilt[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(spoilt)
+        result = verify(path)
+        assert result.exit_code == 2 and f"{shard_name(1)}" in result.stderr, (place, result.output)
+        assert result.exception is None or isinstance(result.exception, SystemExit)

@@ -1,0 +1,196 @@
+"""`simgen export`: what goes out comes back through evalkit's own readers, and interrupted exports are gone on with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from evalkit import InputError
+from evalkit.adapters.bop import dataset as bop
+from evalkit.adapters.sileane import dataset as sileane
+from evalkit.datasets.ground_truth import read_ground_truth
+from evalkit.datasets.shard_folder import ShardDataset
+from simgen.exports import export
+from simgen.exports.export import export_bop, export_sileane, open_whole
+
+
+def ignore(frames):
+    pass
+
+
+@pytest.fixture(scope="module")
+def dataset(debug_shards):
+    return open_whole(debug_shards)
+
+
+@pytest.fixture(scope="module")
+def bop_set(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("bop") / "set"
+    export_bop(dataset, out, "test", ignore)
+    return out
+
+
+@pytest.fixture(scope="module")
+def sileane_set(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("sileane") / "bunny"
+    export_sileane(dataset, out, ignore)
+    return out
+
+
+@pytest.fixture
+def truth(debug_shards):
+    return read_ground_truth(debug_shards)
+
+
+def bop_name(image_id):
+    scene, view = image_id.split("-")
+    return f"{int(scene):06d}-{int(view):06d}"
+
+
+def assert_same_truth(back, truth, name=str):
+    images = {image.id: image for image in back.images}
+    assert list(images) == [name(image.id) for image in truth.images]
+    for image in truth.images:
+        found = images[name(image.id)]
+        assert found.camera == image.camera
+        np.testing.assert_allclose(found.cam_from_obj, image.cam_from_obj, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.visibility, image.visibility, rtol=0, atol=1e-7)
+
+
+def assert_same_depth(images, dataset):
+    images = list(images)
+    assert len(images) == len(dataset)
+    for image, view in zip(images, dataset, strict=True):
+        assert image.camera == view.camera
+        np.testing.assert_allclose(image.read(), view.depth_raw * view.depth_unit, rtol=0, atol=1e-9)
+
+
+def test_bop_keeps_poses_cameras_visibility_and_every_step_of_depth(bop_set, dataset, truth):
+    assert_same_truth(bop.read_ground_truth(bop_set / "test"), truth, bop_name)
+    assert_same_depth(bop.depth_images(bop_set / "test"), dataset)
+
+
+def test_sileane_keeps_poses_cameras_visibility_and_every_step_of_depth(sileane_set, dataset, truth):
+    assert_same_truth(sileane.read_ground_truth(sileane_set), truth)
+    assert_same_depth(sileane.depth_images(sileane_set), dataset)
+
+
+def test_both_keep_the_mesh_to_its_last_digit(bop_set, sileane_set, truth):
+    for model in (bop.read_ground_truth(bop_set / "test").object, sileane.read_object(sileane_set)):
+        np.testing.assert_allclose(model.vertices, truth.object.vertices, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(model.faces, truth.object.faces)
+
+
+def test_bops_masks_say_what_its_numbers_say(bop_set, dataset):
+    for view in dataset:
+        folder = bop_set / "test" / f"{view.scene_index:06d}"
+        infos = json.loads((folder / "scene_gt_info.json").read_text())[str(view.view_index)]
+        for row, info in enumerate(infos):
+            name = f"{view.view_index:06d}_{row:06d}.png"
+            whole, seen = (cv2.imread(str(folder / kind / name), -1) == 255 for kind in ("mask", "mask_visib"))
+            assert not (seen & ~whole).any()
+            assert seen.sum() == info["px_count_visib"] == view.instances.pixels_visible[row]
+            assert (whole & (view.depth_raw > 0)).sum() == info["px_count_valid"]
+            assert info["px_count_visib"] <= info["px_count_valid"] <= info["px_count_all"]
+            if whole.sum() == info["px_count_all"]:  # nothing of it lies beyond the frame
+                v, u = np.nonzero(whole)
+                box = [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
+                assert info["bbox_obj"] == box
+            if seen.any():
+                v, u = np.nonzero(seen)
+                assert info["bbox_visib"] == [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
+            else:
+                assert info["bbox_visib"] == [-1, -1, -1, -1]
+
+
+def test_bops_targets_count_the_instances_that_are_a_tenth_visible(bop_set, truth):
+    targets = json.loads((bop_set / "test_targets_bop19.json").read_text())
+    expected = [(image.id, int((image.visibility >= 0.1).sum())) for image in truth.images]
+    found = [(f"{row['scene_id']:06d}-{row['im_id']:03d}", row["inst_count"]) for row in targets]
+    assert found == [(name, count) for name, count in expected if count]
+
+
+def test_sileanes_segmentation_holds_the_ids_that_its_labels_name(sileane_set, dataset):
+    view = dataset[0]
+    ids = cv2.imread(str(sileane_set / "segmentation" / f"{view.image_id}.PNG"), cv2.IMREAD_UNCHANGED)
+    rows = json.loads((sileane_set / "gt" / f"{view.image_id}.json").read_text())
+    counts = [int(((ids == row["segmentation_id"]) & (view.depth_raw > 0)).sum()) for row in rows]
+    assert counts == view.instances.pixels_visible.tolist()
+
+
+@pytest.mark.parametrize(
+    ("kind", "write"), [("bop", lambda *a: export_bop(*a[:2], "test", a[2])), ("sileane", export_sileane)]
+)
+def test_an_interrupted_export_leaves_nothing_at_its_place_and_is_gone_on_with(kind, write, dataset, tmp_path, request):
+    whole, out, done = request.getfixturevalue(f"{kind}_set"), tmp_path / "out", []
+
+    def stop_at_the_fifth(frames):
+        done.append(frames)
+        if len(done) == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(dataset, out, stop_at_the_fifth)
+    assert not out.exists()
+    kept = {path: path.stat().st_mtime_ns for path in out.with_name("out.part").rglob("*.png") if "/." not in str(path)}
+    write(dataset, out, ignore)
+    assert not out.with_name("out.part").exists()
+    for path, time in kept.items():  # scenes and images that were complete are not written again
+        assert (out / path.relative_to(out.with_name("out.part"))).stat().st_mtime_ns == time
+    files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file())
+    assert all((whole / name).read_bytes() == (out / name).read_bytes() for name in files)
+
+
+def test_what_is_left_of_another_dataset_is_not_gone_on_with(dataset, tmp_path):
+    part = tmp_path / "out.part"
+    part.mkdir()
+    (part / "mine.txt").write_text("precious")
+    with pytest.raises(InputError, match=r"out\.part: holds something else"):
+        export_sileane(dataset, tmp_path / "out", ignore)
+    assert (part / "mine.txt").read_text() == "precious"
+
+
+def test_a_camera_that_stood_still_keeps_its_world(dataset, tmp_path, monkeypatch):
+    pose = dataset[1].cam_from_world
+    monkeypatch.setattr(export.sileane_export, "shared_view", lambda cam_from_world: pose)
+    export_sileane(dataset, tmp_path / "out", ignore)
+    _, cam_from_world = sileane.read_camera_params(tmp_path / "out" / "camera_params.txt")
+    np.testing.assert_allclose(cam_from_world, pose, atol=1e-12)
+    back = sileane.read_ground_truth(tmp_path / "out")
+    np.testing.assert_allclose(back.images[1].cam_from_obj, dataset[1].instances.cam_from_obj, atol=1e-9)
+
+
+def test_the_command_refuses_in_one_sentence(debug_shards, run_command, tmp_path):
+    full, damaged = tmp_path / "full", tmp_path / "damaged"
+    full.mkdir()
+    (full / "file").write_text("precious")
+    shutil.copytree(debug_shards, damaged)
+    shard = next(damaged.glob("*.h5"))
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    for source, out, words in (
+        (debug_shards, full, "is not empty"),
+        (debug_shards, full / "file" / "below", "not a folder"),
+        (damaged, tmp_path / "out", shard.name),
+        (tmp_path / "nowhere", tmp_path / "out", "no such folder"),
+    ):
+        done = run_command("simgen", "export", "bop", source, out)
+        assert done.returncode == 2
+        assert words in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    assert (full / "file").read_text() == "precious"
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_says_what_it_wrote(debug_shards, run_command, tmp_path):
+    done = run_command("simgen", "export", "bop", debug_shards, tmp_path / "out", "--split", "train_pbr")
+    assert done.returncode == 0, done.stderr
+    assert "6 images of 2 scenes of bunny" in done.stdout
+    assert (tmp_path / "out" / "train_pbr" / "000001" / "scene_gt.json").is_file()
+    assert len(ShardDataset(debug_shards)) == 6

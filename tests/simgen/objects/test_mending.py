@@ -1,0 +1,117 @@
+"""What mending must leave alone, mend, or tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from simgen.objects.mending import MendedMesh, closed, mend
+
+BODIES = {
+    "box": trimesh.creation.box((1, 2, 3)),
+    "ring": trimesh.creation.annulus(1.0, 2.0, 0.5),
+    "ball": trimesh.creation.icosphere(2),
+}
+
+
+@pytest.fixture(params=BODIES)
+def body(request: pytest.FixtureRequest) -> trimesh.Trimesh:
+    return BODIES[request.param].copy()
+
+
+def mended(mesh: trimesh.Trimesh) -> MendedMesh:
+    return mend(np.array(mesh.vertices, float), np.array(mesh.faces, np.int64))
+
+
+def test_a_sound_mesh_gets_no_warning_and_keeps_its_shape(body: trimesh.Trimesh) -> None:
+    mesh = mended(body)
+    assert mesh.warnings == []
+    assert mesh.is_watertight and mesh.components == 1
+    assert mesh.volume == pytest.approx(body.volume)
+    assert len(mesh.vertices) == len(body.vertices) and len(mesh.faces) == len(body.faces)
+
+
+def test_mending_again_changes_nothing(body: trimesh.Trimesh) -> None:
+    body.invert()
+    once = mended(body)
+    twice = mend(once.vertices, once.faces)
+    assert np.array_equal(once.vertices, twice.vertices) and np.array_equal(once.faces, twice.faces)
+    assert twice.warnings == []
+
+
+def test_faces_with_vertices_of_their_own_are_welded(body: trimesh.Trimesh) -> None:
+    soup = trimesh.Trimesh(body.triangles.reshape(-1, 3), np.arange(3 * len(body.faces)).reshape(-1, 3), process=False)
+    mesh = mended(soup)
+    assert mesh.is_watertight
+    assert len(mesh.vertices) == len(body.vertices)
+
+
+def test_an_inside_out_mesh_is_turned_round_and_told(body: trimesh.Trimesh) -> None:
+    volume = body.volume
+    body.invert()
+    mesh = mended(body)
+    assert mesh.volume == pytest.approx(volume)
+    assert any("inside out" in warning for warning in mesh.warnings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_faces_flipped_at_random_are_wound_outwards_again(body: trimesh.Trimesh, seed: int) -> None:
+    flipped = np.random.default_rng(seed).random(len(body.faces)) < 0.3
+    faces = np.where(flipped[:, None], body.faces[:, ::-1], body.faces)
+    mesh = mend(np.array(body.vertices), faces.astype(np.int64))
+    assert mesh.volume == pytest.approx(body.volume)
+    assert any("wound" in warning for warning in mesh.warnings)
+
+
+def test_stray_vertices_do_not_count(body: trimesh.Trimesh) -> None:
+    vertices = np.concatenate([[[1e9, 0, 0]], body.vertices, [[np.nan] * 3]])
+    mesh = mend(vertices, np.array(body.faces, np.int64) + 1)
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx(np.ptp(body.vertices, axis=0))
+    assert mesh.warnings == []
+
+
+def test_repeated_and_collapsed_faces_are_dropped(body: trimesh.Trimesh) -> None:
+    faces = np.array(body.faces, np.int64)
+    more = np.concatenate([faces, faces[:3, [1, 2, 0]], faces[:2, ::-1], [[0, 0, 1], [2, 2, 2]]])
+    mesh = mend(np.array(body.vertices), more)
+    assert len(mesh.faces) == len(faces) and mesh.is_watertight
+    assert mesh.volume == pytest.approx(body.volume)
+    assert any("5 faces" in warning for warning in mesh.warnings)
+
+
+def test_holes_are_told_and_closed_for_the_physics(body: trimesh.Trimesh) -> None:
+    faces = np.array(body.faces, np.int64)[1:]
+    mesh = mend(np.array(body.vertices), faces)
+    assert not mesh.is_watertight
+    assert any("watertight" in warning for warning in mesh.warnings)
+    shut = trimesh.Trimesh(*closed(mesh.vertices, mesh.faces), process=False)
+    assert shut.is_watertight
+    assert shut.volume == pytest.approx(body.volume, rel=0.05)
+
+
+def test_a_closed_mesh_stays_as_it_is_when_closed(body: trimesh.Trimesh) -> None:
+    vertices, faces = closed(np.array(body.vertices), np.array(body.faces, np.int64))
+    assert len(vertices) == len(body.vertices) and len(faces) == len(body.faces)
+
+
+def test_an_edge_of_three_faces_is_told() -> None:
+    box = BODIES["box"]
+    vertices = np.concatenate([box.vertices, [[5.0, 5, 5]]])
+    mesh = mend(vertices, np.concatenate([box.faces, [[*box.faces[0][:2], len(box.vertices)]]]).astype(np.int64))
+    assert mesh.crowded_edges == 1
+    assert any("manifold" in warning for warning in mesh.warnings)
+
+
+def test_pieces_are_counted_and_told() -> None:
+    two = trimesh.util.concatenate([BODIES["box"], BODIES["ball"].copy().apply_translation([9, 0, 0])])
+    mesh = mended(two)
+    assert mesh.components == 2 and mesh.is_watertight
+    assert any("2 separate pieces" in warning for warning in mesh.warnings)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_mending_does_not_depend_on_the_unit(body: trimesh.Trimesh, scale: float) -> None:
+    mesh = mend(np.array(body.vertices) * scale, np.array(body.faces, np.int64))
+    assert len(mesh.vertices) == len(body.vertices)
+    assert mesh.volume == pytest.approx(body.volume * scale**3)
