@@ -18,7 +18,7 @@ from posenet.layers.mean import Mean
 from posenet.models.model_file import read_torch_file
 from posenet.training.dataset import Frames, step_seeds
 from posenet.training.fit_options import FitOptions
-from posenet.training.processes import Place, processes
+from posenet.training.processes import Rank, processes
 from posenet.training.train import fit
 from posenet.training.trainer import Trainer
 
@@ -104,18 +104,18 @@ def test_a_killed_run_of_two_goes_on_bit_for_bit_even_where_one_was_killed(
 ) -> None:
     whole = fit(options(debug_shards, tmp_path / "whole", config("debug"), 2))
     stopped = options(debug_shards, tmp_path / "stopped", config("debug"), 2, checkpoint_seconds=0.0)
-    take = Trainer._step
+    take = Trainer.take_step
 
-    def kill_the_other_at_two(self: Trainer, frames: np.ndarray, progress: float) -> None:
+    def kill_the_other_at_two(self: Trainer, progress: float) -> None:
         if self.step == 2:
             import multiprocessing
 
             for child in multiprocessing.active_children():
                 os.kill(child.pid or 0, signal.SIGKILL)
-        take(self, frames, progress)
+        take(self, progress)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_step", kill_the_other_at_two)
+        patch.setattr(Trainer, "take_step", kill_the_other_at_two)
         with pytest.raises(
             InputError, match=r"process 2 of 2 was killed by signal 9.*run the same command again"
         ) as caught:
@@ -135,21 +135,21 @@ def test_a_batch_too_small_to_share_is_refused(debug_shards: Path, tmp_path: Pat
     assert not (tmp_path / "run").exists()
 
 
-def fails_with_a_sentence(place: Place) -> None:
-    place.fabric(torch.device("cpu"), None)
+def fails_with_a_sentence(rank: Rank) -> None:
+    rank.fabric(torch.device("cpu"), None)
     raise InputError("shard-00001.h5: is gone.")
 
 
-def test_a_mistake_that_another_process_meets_is_told_as_if_the_first_had_met_it() -> None:
-    with pytest.raises(InputError, match=r"shard-00001\.h5: is gone\."), processes(2, fails_with_a_sentence) as place:
-        fabric = place.fabric(torch.device("cpu"), None)
-        place.told(0.0, fabric.device)
-        place.told(0.0, fabric.device)
+def test_a_mistake_that_another_process_meets_is_reported_as_if_the_first_had_met_it() -> None:
+    with pytest.raises(InputError, match=r"shard-00001\.h5: is gone\."), processes(2, fails_with_a_sentence) as rank:
+        fabric = rank.fabric(torch.device("cpu"), None)
+        rank.from_leader(0.0, fabric.device)
+        rank.from_leader(0.0, fabric.device)
 
 
 def test_shares_are_dealt_so_that_the_first_images_come_first_everywhere() -> None:
-    places = [Place(rank, 3) for rank in range(3)]
-    assert [place.share([0, 1, 2, 3, 4, 5, 6]) for place in places] == [[0, 3, 6], [1, 4], [2, 5]]
+    ranks = [Rank(index, 3) for index in range(3)]
+    assert [rank.share([0, 1, 2, 3, 4, 5, 6]) for rank in ranks] == [[0, 3, 6], [1, 4], [2, 5]]
 
 
 def test_an_image_draws_the_same_whatever_shares_its_batch(debug_shards: Path) -> None:

@@ -7,7 +7,7 @@ from posenet.training.slowdown import Slowdown
 
 def said(rates: list[float]) -> list[str]:
     slowdown = Slowdown()
-    return [sentence for rate in rates if (sentence := slowdown.told(rate))]
+    return [sentence for rate in rates if (sentence := slowdown.warning(rate))]
 
 
 def test_a_collapse_is_told_once_with_both_rates() -> None:

@@ -17,7 +17,7 @@ from posenet.config import Config, preset, with_options
 from posenet.layers.mean import Mean
 from posenet.models.model_file import load_model
 from posenet.optimizers.schedule import Budget, learning_rate_factor
-from posenet.training import trainer
+from posenet.training import learner
 from posenet.training.dataset import Frames
 from posenet.training.fit_options import FitOptions
 from posenet.training.train import fit
@@ -92,15 +92,15 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(
     config = with_options(preset("debug"), "train", **choices)
     whole = fit(options(debug_shards, tmp_path / "whole", config, epochs=6))
     stopped = options(debug_shards, tmp_path / "stopped", config, epochs=6)
-    take = Trainer._step
+    take = Trainer.take_step
 
-    def stop_at_three(self: Trainer, frames: np.ndarray, progress: float) -> None:
+    def stop_at_three(self: Trainer, progress: float) -> None:
         if self.step == 3:
             raise KeyboardInterrupt
-        take(self, frames, progress)
+        take(self, progress)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Trainer, "_step", stop_at_three)
+        patch.setattr(Trainer, "take_step", stop_at_three)
         with pytest.raises(KeyboardInterrupt):
             fit(stopped)
     assert not (tmp_path / "stopped" / "model.pt").exists()
@@ -126,14 +126,14 @@ def test_another_run_in_the_same_folder_is_refused(debug_shards: Path, tmp_path:
 def test_a_nan_loss_stops_with_a_sentence_and_keeps_the_checkpoint(
     debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = trainer.losses.total
+    real = learner.losses.total
 
     def poisoned(found: dict[str, Mean], config: object) -> torch.Tensor:
         return real(found, config) * math.nan  # type: ignore[arg-type]
 
     fit(options(debug_shards, tmp_path / "run", epochs=1))
     kept = (tmp_path / "run" / "checkpoint.pt").read_bytes()
-    monkeypatch.setattr(trainer.losses, "total", poisoned)
+    monkeypatch.setattr(learner.losses, "total", poisoned)
     with pytest.raises(InputError, match="NaN at step"):
         fit(options(debug_shards, tmp_path / "other", epochs=1))
     assert (tmp_path / "run" / "checkpoint.pt").read_bytes() == kept

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from evalkit.atomic import atomic_path
 
 Rows = Sequence[dict[str, float]]
-PLACE = ("step", "images", "minutes")
+POSITION = ("step", "images", "minutes")
 
 
 def draw_curves(path: Path | str, history: Rows, validations: Rows, title: str) -> None:
@@ -33,7 +33,7 @@ def draw_curves(path: Path | str, history: Rows, validations: Rows, title: str) 
 
 
 def _draw_losses(axes: Axes, history: Rows) -> None:
-    names = sorted({name for row in history for name in row} - set(PLACE), key=lambda name: (name != "total", name))
+    names = sorted({name for row in history for name in row} - set(POSITION), key=lambda name: (name != "total", name))
     for name in names:
         points = [(row["images"], row[name]) for row in history if row.get(name, 0.0) > 0.0]
         style = {"color": "black", "linewidth": 2.0} if name == "total" else {"linewidth": 1.0}

@@ -36,16 +36,16 @@ LONGEST_FAREWELL = 10.0  # seconds that a process has to say why it ended
 
 
 @dataclass(frozen=True)
-class Place:
+class Rank:
     """Which of `size` processes this one is, and the port (on this machine) where they meet."""
 
-    rank: int = 0
+    index: int = 0
     size: int = 1
     port: int = 0
 
     @property
     def leads(self) -> bool:
-        return self.rank == 0
+        return self.index == 0
 
     def fabric(self, device: torch.device, logger: Logger | None) -> Fabric:
         """Fabric for this process's device, joined with the other processes."""
@@ -62,7 +62,7 @@ class Place:
 
     def share(self, items: Any) -> Any:
         """This process's share of a batch, dealt like cards: images first in the batch are first somewhere."""
-        return items[self.rank :: self.size]
+        return items[self.index :: self.size]
 
     def summed(self, losses: dict[str, Mean]) -> dict[str, Mean]:
         """Sums and counts over all processes, without gradient; all must have losses of the same names."""
@@ -72,24 +72,24 @@ class Place:
         pairs = values.float().view(-1, 2)
         return {name: Mean(*pair) for name, pair in zip(names, pairs, strict=True)}
 
-    def told(self, value: float, device: torch.device) -> float:
+    def from_leader(self, value: float, device: torch.device) -> float:
         """The leader's `value`, in every process."""
         if self.size == 1:
             return value
-        told = torch.tensor([value], dtype=torch.float64, device=device)
-        distributed.broadcast(told, 0)
-        return float(told)
+        shared = torch.tensor([value], dtype=torch.float64, device=device)
+        distributed.broadcast(shared, 0)
+        return float(shared)
 
     def _all_reduce(self, values: Tensor) -> None:
         if self.size > 1:
             distributed.all_reduce(values)
 
 
-ALONE = Place()
+ALONE = Rank()
 
 
 @contextmanager
-def processes(size: int, work: Callable[[Place], None]) -> Iterator[Place]:
+def processes(size: int, work: Callable[[Rank], None]) -> Iterator[Rank]:
     """Within the block this process leads `size` processes, the others of which run `work`.
 
     Raises:
@@ -100,13 +100,13 @@ def processes(size: int, work: Callable[[Place], None]) -> Iterator[Place]:
         return
     threads = torch.get_num_threads()
     others = [
-        _Other(Place(rank, size, port), work, threads // size) for port in [_free_port()] for rank in range(1, size)
+        _Other(Rank(index, size, port), work, threads // size) for port in [_free_port()] for index in range(1, size)
     ]
     try:
         for other in others:
             other.wait_until_ready()
         torch.set_num_threads(max(1, threads // size))
-        yield Place(0, size, others[0].place.port)
+        yield Rank(0, size, others[0].rank.port)
     except RuntimeError as error:  # what a collective raises when its peer is gone
         reason = next((reason for other in others if (reason := other.last_words())), None)
         raise InputError(reason) if reason else error from None
@@ -121,11 +121,11 @@ def processes(size: int, work: Callable[[Place], None]) -> Iterator[Place]:
 class _Other:
     """A process beside the leader, seen from the leader."""
 
-    def __init__(self, place: Place, work: Callable[[Place], None], threads: int) -> None:
+    def __init__(self, rank: Rank, work: Callable[[Rank], None], threads: int) -> None:
         context = multiprocessing.get_context("spawn")
-        self.place = place
+        self.rank = rank
         self.inbox, outbox = context.Pipe(duplex=False)
-        self.process = context.Process(target=_follow, args=(place, work, max(1, threads), outbox), daemon=True)
+        self.process = context.Process(target=_follow, args=(rank, work, max(1, threads), outbox), daemon=True)
         self.process.start()
         outbox.close()
 
@@ -156,24 +156,24 @@ class _Other:
         code = self.process.exitcode
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
         return (
-            f"process {self.place.rank + 1} of {self.place.size} {how}, so training stopped; the last checkpoint is "
+            f"process {self.rank.index + 1} of {self.rank.size} {how}, so training stopped; the last checkpoint is "
             "kept: run the same command again to resume."
         )
 
 
-def _follow(place: Place, work: Callable[[Place], None], threads: int, outbox: Connection) -> None:
+def _follow(rank: Rank, work: Callable[[Rank], None], threads: int, outbox: Connection) -> None:
     """All that a process beside the leader does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes, and the leader decides
     torch.set_num_threads(threads)
     leader = os.getppid()
     outbox.send_bytes(READY.encode())
     try:
-        work(place)
+        work(rank)
     except (InputError, OSError) as error:
         _say(outbox, str(error))
     except RuntimeError as error:
         if os.getppid() == leader:
-            _say(outbox, f"process {place.rank + 1} of {place.size} failed: {error}")
+            _say(outbox, f"process {rank.index + 1} of {rank.size} failed: {error}")
     os._exit(0)  # without the farewells of a process group that may have lost its leader
 
 
@@ -191,8 +191,8 @@ def _free_port() -> int:
 class _Here(ClusterEnvironment):  # type: ignore[misc]
     """Processes of one machine that exist already, for Fabric."""
 
-    def __init__(self, place: Place) -> None:
-        self.place = place
+    def __init__(self, rank: Rank) -> None:
+        self.rank = rank
 
     @property
     def creates_processes_externally(self) -> bool:
@@ -204,24 +204,24 @@ class _Here(ClusterEnvironment):  # type: ignore[misc]
 
     @property
     def main_port(self) -> int:
-        return self.place.port
+        return self.rank.port
 
     @staticmethod
     def detect() -> bool:
         return False
 
     def world_size(self) -> int:
-        return self.place.size
+        return self.rank.size
 
     def set_world_size(self, size: int) -> None: ...
 
     def global_rank(self) -> int:
-        return self.place.rank
+        return self.rank.index
 
     def set_global_rank(self, rank: int) -> None: ...
 
     def local_rank(self) -> int:
-        return self.place.rank
+        return self.rank.index
 
     def node_rank(self) -> int:
         return 0

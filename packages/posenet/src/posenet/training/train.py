@@ -1,4 +1,4 @@
-"""`posenet fit`: what a run is, and its beginning; the loop is :class:`posenet.trainer.Trainer`."""
+"""`posenet fit`: what a run is, and its beginning; the loop is :class:`posenet.training.trainer.Trainer`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from posenet.runs.provenance import data_hash, git_version, shard_hashes, softwa
 from posenet.runs.run_folder import RunFolder
 from posenet.training.dataset import Frames, Split
 from posenet.training.fit_options import FitOptions
-from posenet.training.processes import Place, processes
+from posenet.training.processes import Rank, processes
 from posenet.training.trainer import Trainer
 
 
@@ -40,17 +40,17 @@ def fit(options: FitOptions) -> RunFolder:
     run = RunFolder(options.out)
     resuming = run.claim(_identity(options, frames), _made_by(options, frames))
     follow = partial(_follow, options, resuming)
-    with run.locked(), _reproducible(device), processes(options.devices, follow) as place:
-        _train(Trainer(network, frames, split, run, options, place), resuming)
+    with run.locked(), _reproducible(device), processes(options.devices, follow) as rank:
+        _train(Trainer(network, frames, split, run, options, rank), resuming)
     return run
 
 
-def _follow(options: FitOptions, resuming: bool, place: Place) -> None:
+def _follow(options: FitOptions, resuming: bool, rank: Rank) -> None:
     """What :func:`fit` does in the processes beside the first, which has checked everything."""
     frames = Frames(list(options.shards))
     split, network = _prepared(options, frames)
     with _reproducible(choose_device(options.device)):
-        _train(Trainer(network, frames, split, RunFolder(options.out), options, place), resuming)
+        _train(Trainer(network, frames, split, RunFolder(options.out), options, rank), resuming)
 
 
 def _train(trainer: Trainer, resuming: bool) -> None:

@@ -1,0 +1,49 @@
+"""The batches of a run: which frames each step trains on, what is drawn for them, and how they are degraded.
+
+All of it follows from the seed and the number of the step, so a resumed run sees what an unbroken one does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from posenet.config import TrainConfig
+from posenet.network.targets import Batch
+from posenet.training.augment import Degradation, degrade, generator_of
+from posenet.training.dataset import Frames, epoch_order, step_seeds
+from posenet.training.processes import Rank
+
+
+class Batches:
+    """The batches of the `train` frames (n,) of `frames`, and this rank's share of each."""
+
+    def __init__(self, frames: Frames, train: NDArray[np.int64], config: TrainConfig, seed: int, rank: Rank) -> None:
+        self.frames, self.train, self.config, self.seed, self.rank = frames, train, config, seed, rank
+
+    @property
+    def steps_per_epoch(self) -> int:
+        return max(1, len(self.train) // self.config.batch_images)
+
+    def frame_numbers(self, step: int) -> NDArray[np.int64]:
+        """The frames of a step, of all ranks together."""
+        size = min(self.config.batch_images, len(self.train))
+        epoch, position = divmod(step, self.steps_per_epoch)
+        return epoch_order(self.train, self.seed, epoch)[position * size : (position + 1) * size]
+
+    def load(self, step: int, device: torch.device) -> Batch:
+        """This rank's share of a step's batch, on `device`, degraded where the configuration says so."""
+        numbers, share = self.frame_numbers(step), self.rank.share
+        seeds = step_seeds(self.seed, step, numbers)
+        torch.manual_seed(step_seeds(self.seed, step, np.array([self.rank.index]))[0])  # dropout draws globally
+        batch = self.frames.batch(share(numbers), share(seeds)).to(device)
+        bounds = Degradation(self.config.augment_noise, self.config.augment_holes)
+        if not any(bounds):
+            return batch
+        diameter = self.frames.model.diameter
+        images = [
+            degrade(image, bounds, diameter, generator_of(self.seed, step, number))
+            for number, image in zip(share(range(len(numbers))), batch.depth, strict=True)
+        ]
+        return batch._replace(depth=torch.stack(images))
