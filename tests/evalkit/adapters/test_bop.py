@@ -98,6 +98,16 @@ def test_poses_project_where_bops_own_formula_puts_them(split):
         np.testing.assert_allclose(ours, np.stack([u / w, v / w], -1), atol=1e-9)
 
 
+def test_a_part_whose_files_origin_is_at_the_camera_is_read(split):
+    path = split.parent / "models" / "obj_000001.ply"
+    write_box(path, np.array([0.0, 0.0, 900.0]))
+    (path.parent / "models_info.json").write_text(json.dumps({"1": {}, "2": {"diameter": 131.0}}))
+    edit(split / "000001" / "scene_gt.json", lambda d: d["3"][2].update(cam_R_m2c=np.eye(3).ravel().tolist()))
+    edit(split / "000001" / "scene_gt.json", lambda d: d["3"][2].update(cam_t_m2c=[0.0, 0.0, 0.0]))
+    truth = bop.read_ground_truth(split, object_id=1)
+    assert truth.object.centers(truth.images[0].cam_from_obj)[1] == pytest.approx([0, 0, 0.9])
+
+
 def test_images_without_the_object_stay_and_visibility_follows_its_instance(split):
     truth = bop.read_ground_truth(split, object_id=1)
     assert [image.id for image in truth.images] == ["000001-000003", "000001-000004"]

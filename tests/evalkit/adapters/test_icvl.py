@@ -120,6 +120,26 @@ def test_the_part_beyond_the_frame_counts_as_hidden():
     assert seen([3.0, 0, 0.5]).tolist() == [0.0]
 
 
+@pytest.mark.parametrize("offset", [(0, 0, 1.0), (0, 0, -1.0), (3.0, -2.0, 3.0)])
+def test_visibility_does_not_depend_on_the_files_origin(offset):
+    vertices = np.concatenate([SQUARE, SQUARE + np.array([0, 0, 0.03])])
+    faces = np.concatenate([FACES, FACES + len(SQUARE)])
+    rotation = poses.from_axis_angle([1.0, 0, 0], np.array([2.8, -0.4]))
+    depth = np.full((160, 200), 2.0)
+    depth[:, :80] = 0.3
+    shares = [
+        seen_in_depth(
+            depth,
+            CAMERA,
+            ObjectModel.from_mesh("squares", vertices + shift, faces),
+            poses.from_rotation_translation(rotation, [[-0.02, 0, 0.6], [0.08, 0, 0.6]] - rotation @ shift),
+        )
+        for shift in (np.zeros(3), np.array(offset))
+    ]
+    assert 0.1 < shares[0][0] < 0.9
+    np.testing.assert_allclose(shares[1], shares[0], atol=0.01)
+
+
 def test_a_depth_image_of_another_size_and_an_object_behind_the_camera_are_refused():
     model = ObjectModel.from_mesh("square", SQUARE, FACES)
     with pytest.raises(InputError, match="20x10"):

@@ -211,3 +211,36 @@ def test_figures_at_a_confidence_are_those_of_the_list_cut_there(plain_model, ma
         alone = average_precision(replace(predictions, images=cut), truth).curve
         expected = (alone.precision[-1], alone.recall[-1], alone.f1[-1])
         assert result.at_confidence(score) == pytest.approx(expected, abs=1e-12)
+
+
+def with_origin_moved(model, offset):
+    """The same object in a file whose origin lies elsewhere, and what takes its poses there."""
+    new_from_old = poses.from_rotation_translation(np.eye(3), offset)
+    old_from_new = poses.invert(new_from_old)
+    inertial = model.inertial_from_obj @ old_from_new
+    moved = replace(model, centroid=model.centroid + offset, inertial_from_obj=inertial, points=model.points + offset)
+    return moved, old_from_new
+
+
+@pytest.mark.parametrize("criterion", ["sym", "add", "adds", "mssd"])
+def test_the_files_origin_changes_no_score(symmetric_model, make_crowd, criterion):
+    moved, old_from_new = with_origin_moved(symmetric_model, np.array([3.0, -2.0, 150.0]))
+    predictions, truth = make_crowd(symmetric_model, 3)
+    same = [
+        type(document)(name, [replace(i, cam_from_obj=i.cam_from_obj @ old_from_new) for i in document.images])
+        for document, name in ((predictions, moved.name), (truth, moved))
+    ]
+    expected = average_precision(predictions, truth, criterion=criterion)
+    result = average_precision(*same, criterion=criterion)
+    np.testing.assert_allclose(result.image_ap, expected.image_ap, atol=1e-9)
+
+
+def test_millimetres_are_refused_wherever_the_files_origin_is(plain_model):
+    offset = np.array([0.0, 0.0, -60.0])
+    moved, _ = with_origin_moved(plain_model, offset)
+    pose = poses.from_rotation_translation(np.eye(3), [[0.0, 0.0, 0.6] - offset])
+    truth = GroundTruth(moved, [GroundTruthImage("i0", None, pose, np.ones(1))])
+    in_millimetres = poses.from_rotation_translation(np.eye(3), [[0.0, 0.0, 600.0] - offset])
+    wrong = Predictions(moved.name, [PredictionImage("i0", in_millimetres, np.ones(1))])
+    with pytest.raises(InputError, match="millimetres"):
+        average_precision(wrong, truth)

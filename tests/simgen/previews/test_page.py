@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from simgen.config import BinSize, BuildConfig, PileConfig, default_camera
 from simgen.physics.bin import recorded_bin, scene_bin
@@ -86,7 +87,20 @@ def test_instances_have_the_colours_of_the_contact_sheet(dataset: ShardDataset) 
     document = scene_document(views, dataset.header.object)
     count = len(views[0].instances)
     assert floats(document["colors"], count, 3) == pytest.approx(instance_colors(count), abs=1e-6)
-    assert floats(document["world_from_obj"], count, 4, 4)[:, 3].tolist() == [[0, 0, 0, 1]] * count
+    assert floats(document["world_from_mesh"], count, 4, 4)[:, 3].tolist() == [[0, 0, 0, 1]] * count
+
+
+def test_the_files_origin_changes_nothing_of_what_the_viewer_draws(dataset: ShardDataset) -> None:
+    view, model = dataset[0], dataset.header.object
+    assert model.vertices is not None and model.faces is not None
+    offset = np.array([3.0, -1.0, 2.0])
+    moved = ObjectModel.from_mesh(model.name, model.vertices + offset, model.faces)
+    poses_moved = view.instances.cam_from_obj @ poses.from_rotation_translation(np.eye(3), -offset)
+    elsewhere = replace(view, instances=replace(view.instances, cam_from_obj=poses_moved))
+    near, far = scene_document([view], model), scene_document([elsewhere], moved)
+    for name, shape in (("vertices", (-1, 3)), ("world_from_mesh", (-1, 4, 4))):
+        assert floats(far[name], *shape) == pytest.approx(floats(near[name], *shape), abs=1e-6)
+    assert far["faces"] == near["faces"]
 
 
 def test_the_bin_is_drawn_as_it_is_in_that_scene() -> None:

@@ -200,6 +200,22 @@ def test_back_faces_are_skipped_only_where_nobody_can_see_them(spoil, outward) -
     assert (~np.isclose(seen.depth, expected, atol=1e-5)).mean() < 1e-3
 
 
+@pytest.mark.parametrize("offset", [(3.0, 0, 0), (0, 0, -3.0), (-2.0, 40.0, 5.0)])
+def test_the_files_origin_changes_neither_the_pictures_nor_how_they_are_drawn(offset: tuple[float, ...]) -> None:
+    mesh = trimesh.creation.torus(0.06, 0.025, major_sections=24, minor_sections=12)
+    pose = random_poses(np.random.default_rng(7), 12)
+    new_from_old = poses.from_rotation_translation(np.eye(3), -np.array(offset))
+    here = Rasterizer(CAMERA, mesh.vertices, mesh.faces, NOTHING)
+    there = Rasterizer(CAMERA, mesh.vertices + offset, mesh.faces, NOTHING)
+    clipped = [
+        [renderer._needs_clipping(one) for one in at] for renderer, at in ((here, pose), (there, pose @ new_from_old))
+    ]
+    assert clipped[1] == clipped[0] and not all(clipped[0])
+    expected, seen = here.render(pose, np.eye(4)), there.render(pose @ new_from_old, np.eye(4))
+    assert (seen.instance_id != expected.instance_id).mean() < 1e-3
+    assert np.abs(seen.pixels_full - expected.pixels_full).max() <= 2
+
+
 def test_two_bodies_of_which_one_is_inside_out_are_drawn_right() -> None:
     ball = trimesh.creation.icosphere(2, 0.05)
     vertices = np.vstack([ball.vertices - [0.08, 0, 0], 2 * ball.vertices + [0.08, 0, 0]])

@@ -91,7 +91,7 @@ def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj
 
 def _draw(model: ObjectModel, camera: Camera, cam_from_obj: Array) -> tuple[int, NDArray[np.int64], Array]:
     """Pixels of the whole silhouette, and those within the frame as flat indices with their depth."""
-    distance = float(cam_from_obj[2, 3])
+    distance = float(model.centers(cam_from_obj)[2])  # the frame's origin may lie anywhere, even behind the camera
     too_near = f"--visibility depth: an instance {distance:.3g} m in front of the camera is too near to be drawn."
     if distance <= 0:
         raise InputError(too_near)

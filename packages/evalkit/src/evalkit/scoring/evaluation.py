@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, Predictions
 from evalkit.errors import InputError
-from evalkit.objects.model import THRESHOLD_RATIO
+from evalkit.objects.model import THRESHOLD_RATIO, ObjectModel
 from evalkit.scoring.curves import Curve, MeanSteps, PooledSteps, Steps
 from evalkit.scoring.distances import CRITERIA, for_criterion
 from evalkit.scoring.matching import (
@@ -298,18 +298,21 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
 
 
 def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:
-    reach = max((_reach(image.cam_from_obj) for image in truth.images), default=0.0)
-    limit = IMPLAUSIBLE_RATIO * max(reach, truth.object.diameter)
-    far = next((image for image in predictions.images if _reach(image.cam_from_obj) > limit), None)
+    model = truth.object
+    reach = max((_reach(image.cam_from_obj, model) for image in truth.images), default=0.0)
+    limit = IMPLAUSIBLE_RATIO * max(reach, model.diameter)
+    far = next((image for image in predictions.images if _reach(image.cam_from_obj, model) > limit), None)
     if far is not None:
+        away = _reach(far.cam_from_obj, model)
         raise InputError(
-            f"{predictions.source}: image '{far.id}': the field 't' holds {_reach(far.cam_from_obj):g} m where nothing "
-            f"in {truth.source} lies beyond {reach:g} m; give metres, not millimetres."
+            f"{predictions.source}: image '{far.id}': the field 't' puts the object {away:g} m away where nothing in "
+            f"{truth.source} lies beyond {reach:g} m; give metres, not millimetres."
         )
 
 
-def _reach(pose: NDArray[np.float64]) -> float:
-    return float(np.abs(pose[:, :3, 3]).max(initial=0.0))
+def _reach(pose: NDArray[np.float64], model: ObjectModel) -> float:
+    """The largest coordinate of the parts' centroids; their frame's origin may lie anywhere."""
+    return float(np.abs(model.centers(pose)).max(initial=0.0))
 
 
 def evalkit_version() -> str:

@@ -12,10 +12,10 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const VERTEX = `#version 300 es
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 color;
-uniform mat4 clip_from_cam, cam_from_world, world_from_obj;
+uniform mat4 clip_from_cam, cam_from_world, world_from_mesh;
 out vec3 seen, tint;
 void main() {
-  vec4 at = cam_from_world * (world_from_obj * vec4(position, 1.0));
+  vec4 at = cam_from_world * (world_from_mesh * vec4(position, 1.0));
   seen = at.xyz;
   tint = color;
   gl_Position = clip_from_cam * at;
@@ -129,7 +129,7 @@ function show(canvas) {
     canvas.replaceWith("This browser has no WebGL 2, which the 3D view needs.");
     return;
   }
-  const poses = rows(floats(scene.world_from_obj), 16), views = rows(floats(scene.cam_from_world), 16);
+  const poses = rows(floats(scene.world_from_mesh), 16), views = rows(floats(scene.cam_from_world), 16);
   const colors = rows(floats(scene.colors), 3), points = floats(scene.points), used = program(gl);
   const {middle, radius} = extent(scene, poses, points);
   const mesh = shape(gl, gl.TRIANGLES, floats(scene.vertices), null, new Uint32Array(bytes(scene.faces).buffer));
@@ -160,7 +160,7 @@ function show(canvas) {
     const camera = from < 0 ? eye : scene.camera, aspect = canvas.width / canvas.height;
     set("clip_from_cam", projection(camera, aspect, 0.01 * radius, away + 20 * radius));
     set("cam_from_world", pose);
-    set("world_from_obj", unmoved);
+    set("world_from_mesh", unmoved);
     lit(false);
     if (controls.points.checked) cloud();
     if (controls.bin.checked) bin([0.75, 0.78, 0.82]);
@@ -168,7 +168,7 @@ function show(canvas) {
     lit(true);
     if (controls.mesh.checked) {
       poses.forEach((place, i) => {
-        set("world_from_obj", place);
+        set("world_from_mesh", place);
         mesh(colors[i]);
       });
     }

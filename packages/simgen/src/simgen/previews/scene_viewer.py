@@ -50,16 +50,21 @@ start again.</figcaption>
 
 
 def scene_document(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> dict[str, Any]:
-    """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in metres."""
+    """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in metres.
+
+    The drawn mesh's frame is the object's, moved to the centroid: what looks for the heap looks at translations, and
+    float32 has no digits to lose to a file's far origin.
+    """
     first = views[0]
     labels = first.instances
     vertices, faces = drawn_mesh(model)
+    obj_from_mesh = poses.from_rotation_translation(np.eye(3), model.centroid)
     points, numbers = measured_points(views)
     palette = np.concatenate([[[0.55, 0.58, 0.62]], instance_colors(int(labels.instance.max(initial=-1)) + 1)])
     return {
-        "vertices": _packed(vertices, "<f4"),
+        "vertices": _packed(vertices - model.centroid, "<f4"),
         "faces": _packed(faces, "<u4"),
-        "world_from_obj": _packed(poses.invert(first.cam_from_world) @ labels.cam_from_obj, "<f4"),
+        "world_from_mesh": _packed(poses.invert(first.cam_from_world) @ labels.cam_from_obj @ obj_from_mesh, "<f4"),
         "colors": _packed(palette[labels.instance + 1], "<f4"),
         "points": _packed(points, "<f4"),
         "point_colors": _packed(palette[np.minimum(numbers, len(palette) - 1)], "<f4"),
@@ -77,9 +82,11 @@ def drawn_mesh(model: ObjectModel) -> Mesh:
     """The object's mesh, of at most about MAX_FACES; empty where the model has none."""
     if model.vertices is None or model.faces is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    vertices, faces = np.asarray(model.vertices, np.float32), np.asarray(model.faces, np.int64)
+    vertices, faces = model.vertices, np.asarray(model.faces, np.int64)
     if len(faces) > MAX_FACES:
-        vertices, faces = fast_simplification.simplify(vertices, faces, target_count=MAX_FACES)
+        about_centroid = (vertices - model.centroid).astype(np.float32)
+        vertices, faces = fast_simplification.simplify(about_centroid, faces, target_count=MAX_FACES)
+        vertices = vertices.astype(float) + model.centroid
     return np.asarray(vertices, float), np.asarray(faces, np.int64)
 
 

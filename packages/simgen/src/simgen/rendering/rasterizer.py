@@ -100,16 +100,12 @@ class Rasterizer:
 
     def _needs_clipping(self, cam_from_obj: NDArray[np.float64]) -> bool:
         """Whether the sphere around the mesh reaches behind the near plane or out of the guard band."""
-        x, y, z = np.abs(cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]) * (
-            1,
-            1,
-            np.sign(cam_from_obj[2, 3]),
-        )
+        x, y, z = cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]
         nearest = z - self._radius
         if nearest < self._near:
             return True
         fx, fy, cx, cy = self._intrinsics
-        aside = max(fx * (x + self._radius) / nearest + abs(cx), fy * (y + self._radius) / nearest + abs(cy))
+        aside = max(fx * (abs(x) + self._radius) / nearest + abs(cx), fy * (abs(y) + self._radius) / nearest + abs(cy))
         return bool(aside > GUARD)
 
 

@@ -181,7 +181,7 @@ class _Reader:
     ) -> GroundTruthImage:
         name = image_id(scene.number, number)
         chosen = [i for i, row in enumerate(rows) if row["obj_id"] == self.object_id]
-        cam_from_obj = _poses(rows, chosen, f"{scene.file('scene_gt')}: image '{number}'")
+        cam_from_obj = _poses(rows, chosen, self.model, f"{scene.file('scene_gt')}: image '{number}'")
         where = f"{scene.file('scene_camera')}: image '{number}'"
         camera = _camera(cameras, number, where, self.size.of(scene, number))
         if self.rule is None:
@@ -196,14 +196,14 @@ def _depth(scene: Scene, number: int, entry: Any, where: str) -> Array:
     return scene.read_depth(number, float(numbers(entry, "depth_scale", (), where)))
 
 
-def _poses(rows: list[dict[str, Any]], chosen: list[int], where: str) -> Array:
+def _poses(rows: list[dict[str, Any]], chosen: list[int], model: ObjectModel, where: str) -> Array:
     def place(i: int) -> str:
         return f"{where}: instance {chosen[i]}"
 
     rotation = [numbers(rows[k], "cam_R_m2c", (3, 3), f"{where}: instance {k}") for k in chosen]
     translation = [numbers(rows[k], "cam_t_m2c", (3,), f"{where}: instance {k}") * METRES for k in chosen]
     cam_from_obj = checked_poses(np.array(rotation), np.array(translation), place)
-    if (np.linalg.norm(cam_from_obj[:, :3, 3], axis=1) < NEAREST).any():
+    if (np.linalg.norm(model.centers(cam_from_obj), axis=1) < NEAREST).any():
         raise InputError(
             f"{where}: an object lies within {1e3 * NEAREST:g} mm of the camera; BOP's unit is millimetres."
         )
