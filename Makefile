@@ -6,7 +6,7 @@ BIN := .venv/bin
 PACKAGES := evalkit simgen posenet
 STAMP := .venv/.installed
 
-.PHONY: help demo test test-all lint bench install clean
+.PHONY: help demo test test-all lint bench docs install clean
 .DEFAULT_GOAL := help
 
 help: ## list these targets
@@ -39,5 +39,10 @@ lint: $(STAMP) ## ruff and mypy
 bench: $(STAMP) ## every figure that README states
 	for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
 
-clean: ## remove what the demo made
-	rm -rf demo
+docs: $(STAMP) ## the documentation as a site in site/, every link checked
+	$(BIN)/python docs/scripts/error_catalogue.py docs/errors.md
+	$(BIN)/python docs/scripts/command_reference.py docs/commands.md
+	PYTHONPATH=docs/scripts $(BIN)/python -m zensical build --strict --clean
+
+clean: ## remove what the demo and the documentation made
+	rm -rf demo site docs/errors.md docs/commands.md

@@ -16,14 +16,14 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from evalkit.commands.group import describe_os_error
-from evalkit.errors import InputError
-from evalkit.datasets.shard_format import USER_BLOCK
 from evalkit.datasets.shard_folder import list_shards
-from posenet.training import dataset, trainer
+from evalkit.datasets.shard_format import USER_BLOCK
+from evalkit.errors import InputError
 from posenet.config import preset, with_options
-from posenet.training.fit_options import FitOptions
 from posenet.models.model_file import load_model, read_torch_file
 from posenet.runs.run_folder import RunFolder
+from posenet.training import dataset, trainer
+from posenet.training.fit_options import FitOptions
 from posenet.training.train import fit
 from posenet.training.trainer import Trainer
 

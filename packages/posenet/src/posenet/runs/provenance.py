@@ -8,8 +8,8 @@ import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
-from evalkit.datasets.shard_format import USER_BLOCK
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.datasets.shard_format import USER_BLOCK
 
 
 def software_versions() -> dict[str, str]:

@@ -27,8 +27,8 @@ from typing import Any
 from evalkit.atomic import write_json, write_text
 from evalkit.errors import InputError
 from posenet.config import Config
-from posenet.runs.curves import draw_curves
 from posenet.models.model_file import MODEL_FILE, read_torch_file, write_torch_file
+from posenet.runs.curves import draw_curves
 
 RUN_FORMAT = "binpose-run/1"
 Rows = list[dict[str, float]]

@@ -1,0 +1,1 @@
+"""What a training run is, where it stands, and its models: the run's folder."""

@@ -1,0 +1,67 @@
+"""The documentation agrees with the code, and its pages with each other."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILT = {"errors.md", "commands.md"}  # `make docs` writes them
+LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
+
+
+def script(name: str) -> ModuleType:
+    """A module of docs/scripts, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "scripts" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def pages() -> list[Path]:
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_link_into_the_repository_leads_somewhere(page: Path) -> None:
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" not in target and Path(target).name not in BUILT:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_every_page_stands_in_the_sites_menu() -> None:
+    menu = (ROOT / "zensical.toml").read_text(encoding="utf-8")
+    names = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")} | BUILT
+    assert names == set(re.findall(r'"([\w/-]+\.md)"', menu))
+
+
+def test_the_catalogue_of_errors_holds_every_sentence_of_the_sources() -> None:
+    page = re.sub(r"<em>.*?</em>", "*", script("error_catalogue").page())
+    sources = list((ROOT / "packages").rglob("*.py"))
+    missing = []
+    for path in sources:
+        # The first words of each sentence that is one plain text, found by other means than the script's own.
+        for text in re.findall(r'raise InputError\(f?"([^"{}]{12,}?)["{]', path.read_text(encoding="utf-8")):
+            wrong = text.split("; ")[0].strip().replace("*", "&#42;").replace("<", "&lt;").replace(">", "&gt;")
+            missing += [] if wrong in page else [f"{path.name}: {text}"]
+    assert len(sources) > 100
+    assert not missing
+
+
+def test_the_catalogue_of_errors_parts_the_fault_from_the_mend() -> None:
+    sentence = script("error_catalogue").Sentence("evalkit", "a/b.py", 1, "<path>: too short; give more; or less.")
+    assert sentence.parts == ("<path>: too short; give more", "or less.")
+    assert sentence.room == "a"
+
+
+def test_a_formula_becomes_mathml_that_needs_no_script() -> None:
+    pytest.importorskip("latex2mathml", reason="make docs installs it")
+    drawn = script("mathml").block(r"\frac{a}{b}" + "\n" + r"\sum_i p_i")
+    assert drawn.count("<math") == 2 and "<mfrac>" in drawn and "script" not in drawn
