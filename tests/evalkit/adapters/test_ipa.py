@@ -164,8 +164,6 @@ def test_depth_images_run_from_one_clipping_plane_to_the_other(folder):
 def test_what_is_missing_is_asked_for(folder, tmp_path):
     with pytest.raises(InputError, match="--mesh and --units"):
         ipa.read_ground_truth(folder)
-    with pytest.raises(InputError, match="--object"):
-        ipa.read_predictions(folder)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"empty.*cycle_0000"):
         ipa.read_ground_truth(tmp_path / "empty")
@@ -178,7 +176,7 @@ def test_the_commands_take_tables_to_a_score(folder, mesh, tmp_path):
 
     mesh_options = ["--mesh", mesh["mesh"], "--units", "m", "--symmetry", "none"]
     evalkit("gt", folder, "--from", "ipa", *mesh_options, "-o", tmp_path / "gt.json")
-    evalkit("preds", folder, "--from", "ipa", "--object", "gear", "-o", tmp_path / "preds.json")
+    evalkit("preds", folder, "--from", "ipa", "-o", tmp_path / "preds.json")
     truth, predictions = read_ground_truth(tmp_path / "gt.json"), read_predictions(tmp_path / "preds.json")
     result = average_precision(predictions, truth, min_visibility=0.0)
     assert (result.ap, result.counts["true"]) == (1.0, 7)

@@ -10,6 +10,7 @@ import pytest
 
 from evalkit import InputError, PredictionImage, Predictions, average_precision
 from evalkit.adapters.sileane import dataset as sileane
+from evalkit.datasets import documents
 from evalkit.geometry import poses
 from evalkit.objects.model import surface_moments
 from evalkit.scoring.distances import Sym, SymToolbox
@@ -103,10 +104,30 @@ def write_camera(folder, **changes):
 def test_without_a_camera_poses_stay_in_the_world(tmp_path):
     folder = folder_with(tmp_path)
     truth, predictions = sileane.read_ground_truth(folder), sileane.read_predictions(folder / "results")
-    assert (truth.frame, truth.object.name, truth.images[0].id) == ("world", "thing", "scene_1")
+    assert (truth.frame, truth.object.name, truth.images[0].id) == ("world", "", "scene_1")
     assert truth.images[0].cam_from_obj[0, :3, 3].tolist() == [0.1, 0.2, 0.3]
     assert truth.images[0].visibility.tolist() == [0.75, 0.25]
     assert average_precision(predictions, truth).counts["true"] == 1
+
+
+def test_a_name_that_nobody_stated_is_no_reason_to_refuse(tmp_path):
+    """Siléane's files name no object, so a folder's name does not stand for one: the diameter decides."""
+    folder = folder_with(tmp_path)
+    documents.write_ground_truth(tmp_path / "gt.json", sileane.read_ground_truth(folder))
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "results").rename(tmp_path / "elsewhere" / "experiments")
+    found = sileane.read_predictions(tmp_path / "elsewhere" / "experiments")
+    documents.write_predictions(tmp_path / "preds.json", found)
+    truth = documents.read_ground_truth(tmp_path / "gt.json")
+    nameless = documents.read_predictions(tmp_path / "preds.json")
+    assert (truth.object.name, nameless.object_name) == ("", "")
+    for reference in (nameless.object, "bunny", {"name": "bunny", "diameter": truth.object.diameter}):
+        assert average_precision(replace(nameless, object=reference), truth).counts["true"] == 1
+    with pytest.raises(InputError, match="diameter"):
+        average_precision(replace(nameless, object={"diameter": 2 * truth.object.diameter}), truth)
+    named = replace(truth, object=replace(truth.object, name="gear"))
+    with pytest.raises(InputError, match=r"'bunny'.*'gear'"):
+        average_precision(replace(nameless, object="bunny"), named)
 
 
 def test_with_a_camera_poses_are_the_cameras(tmp_path):

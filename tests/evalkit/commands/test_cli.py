@@ -148,7 +148,7 @@ def test_sileane_files_go_in_and_the_golden_figure_comes_out(reference, tmp_path
 
 
 def test_what_takes_long_to_import_waits_until_it_is_needed():
-    code = "import sys, evalkit.cli; print(sorted({'scipy', 'matplotlib', 'cv2', 'h5py'} & set(sys.modules)))"
+    code = "import sys, evalkit.commands.cli; print(sorted({'scipy', 'matplotlib', 'cv2', 'h5py'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 

@@ -109,8 +109,7 @@ GT_FAULTS = {
     "camera with a list": (lambda d, i, r: i["camera"].update(fx=[1]), ["ID", "camera", "fx"]),
 }
 PREDS_FAULTS = {
-    "object missing": (lambda d, i, r: d.pop("object"), ["object"]),
-    "object nameless": (lambda d, i, r: d.update(object={"diameter": 1}), ["object", "name"]),
+    "object named by a number": (lambda d, i, r: d.update(object={"name": 7}), ["object", "name"]),
     "diameter negative": (lambda d, i, r: d.update(object={"name": "x", "diameter": -1}), ["diameter"]),
     "score missing": (lambda d, i, r: r[0].pop("score"), ["ID", "0", "score"]),
     "score NaN": (lambda d, i, r: r[0].update(score=float("nan")), ["ID", "0", "score", "finite"]),

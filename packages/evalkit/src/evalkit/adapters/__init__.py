@@ -15,27 +15,27 @@ from evalkit.errors import InputError
 
 GROUND_TRUTH = {
     "shards": "evalkit.datasets.ground_truth:read_ground_truth",
-    "sileane": "evalkit.adapters.sileane:read_ground_truth",
-    "bop": "evalkit.adapters.bop:read_ground_truth",
+    "sileane": "evalkit.adapters.sileane.dataset:read_ground_truth",
+    "bop": "evalkit.adapters.bop.dataset:read_ground_truth",
     "icvl": "evalkit.adapters.icvl:read_ground_truth",
     "ipa": "evalkit.adapters.ipa:read_ground_truth",
 }
 PREDICTIONS = {
     "binpose": "evalkit.datasets.documents:read_predictions",
     "shards": "evalkit.datasets.ground_truth:read_predictions",
-    "sileane": "evalkit.adapters.sileane:read_predictions",
-    "bop": "evalkit.adapters.bop_results:read_predictions",
+    "sileane": "evalkit.adapters.sileane.dataset:read_predictions",
+    "bop": "evalkit.adapters.bop.results:read_predictions",
     "icvl": "evalkit.adapters.icvl:read_predictions",
     "ipa": "evalkit.adapters.ipa:read_predictions",
 }
 WRITERS = {
     "binpose": "evalkit.datasets.documents:write_predictions",
-    "bop": "evalkit.adapters.bop_results:write_predictions",
-    "sileane": "evalkit.adapters.sileane:write_predictions",
+    "bop": "evalkit.adapters.bop.results:write_predictions",
+    "sileane": "evalkit.adapters.sileane.dataset:write_predictions",
 }
 DEPTH_IMAGES = {
-    "sileane": "evalkit.adapters.sileane:depth_images",
-    "bop": "evalkit.adapters.bop:depth_images",
+    "sileane": "evalkit.adapters.sileane.dataset:depth_images",
+    "bop": "evalkit.adapters.bop.dataset:depth_images",
     "icvl": "evalkit.adapters.icvl:depth_images",
     "ipa": "evalkit.adapters.ipa:depth_images",
 }

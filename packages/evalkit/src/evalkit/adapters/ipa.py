@@ -81,12 +81,10 @@ def read_predictions(folder: Path, *, object_name: str | None = None) -> Predict
     """Results in files named and laid out as the ground truth's, with a score in the last column.
 
     Raises:
-        InputError: a file is not what it should be, or the object's name is not given.
+        InputError: a file is not what it should be.
     """
-    if object_name is None:
-        raise InputError(f"{folder}: the files do not say whose poses they hold; give --object as gt.json names it.")
     images = [PredictionImage(name, *_read_table(path)) for name, path in _find(folder).items()]
-    return Predictions(object_name, images, source=str(folder))
+    return Predictions(object_name or "", images, source=str(folder))
 
 
 def depth_images(folder: Path) -> Iterator[DepthImage]:

@@ -62,7 +62,7 @@ def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
     instances = sum(len(image.visibility) for image in truth.images)
     model = truth.object
     click.echo(
-        f"{output}: {len(truth.images)} images, {instances} instances of {model.name} "
+        f"{output}: {len(truth.images)} images, {instances} instances of {model.title} "
         f"({1e3 * model.diameter:.4g} mm across, symmetry {model.symmetry.name}), {truth.frame} frame"
     )
 

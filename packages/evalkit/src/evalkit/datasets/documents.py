@@ -9,8 +9,9 @@
     {"format", "frame", "object": name or {"name", "diameter"},
      "images": [{"id", "time_s", "hypotheses": [{"R", "t", "score"}]}]}
 
-R (3x3) and t (metres) are ``cam_from_obj``. "frame" is "camera" (the default) or "world"; "world" says that an adapter
-knew no camera and left the poses as they were published, ``world_from_obj``. Unknown fields are let pass.
+The object's name is null where nobody stated one; it then matches any. R (3x3) and t (metres) are ``cam_from_obj``.
+"frame" is "camera" (the default) or "world"; "world" says that an adapter knew no camera and left the poses as they
+were published, ``world_from_obj``. Unknown fields are let pass.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class PredictionImage:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """A preds.json; `object` is the object's name or a document with "name" and perhaps "diameter"."""
+    """A preds.json; `object` is the object's name, or a document that may hold "name" and "diameter"."""
 
     object: dict[str, Any] | str
     images: list[PredictionImage]
@@ -93,7 +94,8 @@ class Predictions:
 
     @property
     def object_name(self) -> str:
-        return self.object if isinstance(self.object, str) else str(self.object["name"])
+        """Empty where nobody named the object."""
+        return self.object if isinstance(self.object, str) else str(self.object.get("name") or "")
 
 
 class _Rows(NamedTuple):
@@ -175,7 +177,7 @@ def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
 
 def write_predictions(path: Path | str, predictions: Predictions) -> None:
     """Write a preds.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
-    head = {"format": PREDS_FORMAT, "frame": predictions.frame, "object": predictions.object}
+    head = {"format": PREDS_FORMAT, "frame": predictions.frame, "object": predictions.object or None}
     lines = (
         {"id": image.id, "time_s": image.time_s, "hypotheses": row_dicts(image.cam_from_obj, image.score, "score")}
         for image in predictions.images
@@ -349,14 +351,14 @@ def _frame(path: Path | str, document: dict[str, Any]) -> str:
 
 def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
     name = reference.get("name") if isinstance(reference, dict) else reference
-    if not isinstance(name, str) or not name:
+    if name is not None and not isinstance(name, str):
         raise InputError(f"{path}: the field 'object' must be the object's name, or hold its 'name'.")
     if isinstance(reference, dict):
         diameter = reference.get("diameter", 1.0)
         if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter <= LARGEST:
             raise InputError(f"{path}: object: the field 'diameter' must be a positive number of metres.")
         return reference
-    return name
+    return name or ""
 
 
 def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:

@@ -104,7 +104,7 @@ def silhouette(model: ObjectModel, camera: Camera, cam_from_obj: ArrayLike) -> I
 
 def _hull(model: ObjectModel, camera: Camera, cam_from_obj: ArrayLike, mask: Image) -> Image:
     if model.points is None:
-        raise InputError(f"object '{model.name}' has neither a mesh nor points to draw; give the shards or the mesh.")
+        raise InputError(f"object '{model.title}' has neither a mesh nor points to draw; give the shards or the mesh.")
     points = poses.apply(cam_from_obj, model.points)
     points = points[points[:, 2] > NEAR]
     if len(points) >= 3:

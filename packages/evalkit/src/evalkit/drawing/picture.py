@@ -155,7 +155,7 @@ def _compose(path: Path | str, panels: dict[str, Image], confident: Confident, r
 def _words(result: Result, confident: Confident) -> str:
     counts, drawn = result.counts, confident.result.counts
     paragraphs = (
-        f"{result.object_name}: {counts['images']} images, {counts['instances_to_find']} of {counts['instances']} "
+        f"{result.object_title}: {counts['images']} images, {counts['instances_to_find']} of {counts['instances']} "
         f"instances to find, {counts['hypotheses']} hypotheses. Drawn are those with a score of at least "
         f"{confident.score:.3g}, where F1 is best: {drawn['true']} true, {drawn['false']} false, "
         f"{drawn['ignored']} ignored, {drawn['missed']} missed.",

@@ -23,6 +23,7 @@ class ObjectModel:
     """A rigid object in its own frame, in metres.
 
     Attributes:
+        name: empty where nobody named it.
         diameter: of the smallest sphere around the area *centroid* (Brégier et al. 2017), not the minimal sphere.
         centroid: (3,) area-weighted centroid of the surface.
         inertial_from_obj: (4, 4) to the frame at the centroid whose axes are the surface covariance's.
@@ -77,6 +78,11 @@ class ObjectModel:
             notes=notes,
         )
 
+    @property
+    def title(self) -> str:
+        """The name to show a reader."""
+        return self.name or "the object"
+
     @cached_property
     def lam_in_obj(self) -> Array:
         """Lambda (3, 3) with its axes in the object's frame, as the geometrically right Sym distance wants it."""
@@ -98,7 +104,7 @@ class ObjectModel:
     def to_json(self) -> dict[str, Any]:
         """Everything but the mesh."""
         return {
-            "name": self.name,
+            "name": self.name or None,
             "diameter": self.diameter,
             "centroid": self.centroid.tolist(),
             "inertial_from_obj": self.inertial_from_obj.tolist(),
@@ -127,7 +133,7 @@ class ObjectModel:
         points = None if document.get("points") is None else _numbers(document, "points", (-1, 3), where)
         notes = document.get("notes")
         return cls(
-            name=str(document.get("name", "object")),
+            name=str(document.get("name") or ""),
             diameter=diameter,
             centroid=_numbers(document, "centroid", (3,), where),
             inertial_from_obj=frame,

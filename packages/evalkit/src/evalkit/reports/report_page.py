@@ -63,7 +63,7 @@ class Content:
 def render(content: Content) -> str:
     """The whole page."""
     sections = (_header, _figures, _images, _published, _protocol)
-    title = f"{content.result.object_name}: AP {content.result.ap:.3f}"
+    title = f"{content.result.object_title}: AP {content.result.ap:.3f}"
     return page(title, "\n".join(section(content) for section in sections))
 
 
@@ -81,7 +81,7 @@ def _header(content: Content) -> str:
     asked = f"instances at least {100 * result.settings.min_visibility:g} % visible"
     return f"""<header>
 <p class="kicker">How good are these 6D poses? A report by evalkit {escape(evalkit_version())}</p>
-<h1>{escape(result.object_name)}</h1>
+<h1>{escape(result.object_title)}</h1>
 <p class="lead"><strong>AP {result.ap:.3f}</strong>
 <span>{criterion}, {asked}, protocol {result.settings.protocol}<br>{_ap_interval(content)}</span></p>
 <nav><a href="#figures">Figures</a> <a href="#images">Images</a> <a href="#published">Published results</a>
@@ -201,7 +201,7 @@ def _published(content: Content) -> str:
 <p class="warning">{_verdict(conditions)}</p>
 <div class="grid">
 {_published_table(table)}
-<div class="run"><h3>This run: {escape(result.object_name)}</h3>
+<div class="run"><h3>This run: {escape(result.object_title)}</h3>
 <strong>AP {result.ap:.3f}</strong>
 {escape(criterion)}, {counted(result.counts["images"], "image")},
 {counted(result.counts["instances_to_find"], "instance")} to find; {_ap_interval(content)}.</div>
@@ -255,7 +255,7 @@ def _protocol(content: Content) -> str:
     counts = result.counts
     entries = [
         ("Rules", escape(result.protocol)),
-        ("Object", f"{escape(model.name)}, diameter {1000 * model.diameter:.4g} mm"),
+        ("Object", f"{escape(model.title)}, diameter {1000 * model.diameter:.4g} mm"),
         ("Symmetry", escape(result.symmetry)),
         ("Images", f"{counts['images']:,}; without predictions: {counts['images_without_prediction']:,}"),
         (

@@ -132,7 +132,7 @@ def _surface_points(model: ObjectModel, criterion: str) -> Array:
     points = model.points if model.vertices is None or model.faces is None else model.vertices[np.unique(model.faces)]
     if points is None or len(points) == 0:
         raise InputError(
-            f"object '{model.name}' carries no 'points', which --criterion {criterion} needs; "
+            f"object '{model.title}' carries no 'points', which --criterion {criterion} needs; "
             "write gt.json from shards or with the mesh at hand, or use --criterion sym."
         )
     return points

@@ -191,7 +191,7 @@ def _nearest_representative(estimate: Array, truth: Array) -> Array:
 def _model_points(model: ObjectModel, criterion: str) -> Array:
     if model.points is None or len(model.points) == 0:
         raise InputError(
-            f"object '{model.name}' carries no 'points', which --criterion {criterion} needs; "
+            f"object '{model.title}' carries no 'points', which --criterion {criterion} needs; "
             "write gt.json from shards or with the mesh at hand, or use --criterion sym."
         )
     return model.points

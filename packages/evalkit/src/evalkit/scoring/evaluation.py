@@ -82,6 +82,11 @@ class Result:
         return self.steps.curve()
 
     @property
+    def object_title(self) -> str:
+        """The object's name to show a reader."""
+        return self.object_name or "the object"
+
+    @property
     def ap(self) -> float:
         return self.area(self.curve)
 
@@ -170,7 +175,7 @@ class Result:
             ),
             "min_visibility": self.settings.min_visibility,
             "max_results": self.settings.max_results,
-            "object": self.object_name,
+            "object": self.object_name or None,
             "symmetry": self.symmetry,
             "counts": self.counts,
             "images_without_prediction": self.missing_images,
@@ -274,7 +279,8 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
         InputError: they do not; the sentence names both files.
     """
     where = f"{predictions.source}: "
-    if predictions.object_name != truth.object.name:
+    names = predictions.object_name, truth.object.name
+    if all(names) and names[0] != names[1]:
         raise InputError(
             f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
             "where they are one, give it one name: 'evalkit gt --object NAME', or 'simgen build --name NAME'."

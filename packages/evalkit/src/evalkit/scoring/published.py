@@ -135,7 +135,8 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     The images are never known to be the same, at best not known to differ.
     """
     rules = result.settings
-    column = table.column_of(result.object_name)
+    known = table.column_of(result.object_name) is not None
+    object_holds = None if known or not result.object_name else False
     criterion = rules.criterion == table.criterion and abs(rules.threshold - THRESHOLD_KEPT) < 1e-9
     visibility = None if table.min_visibility is None else abs(rules.min_visibility - table.min_visibility) < 1e-9
     protocol = None if rules.protocol == "sileane" else rules.protocol == "sileane-toolbox"
@@ -146,9 +147,7 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     exact = "; the authors' toolbox has another Sym, see --protocol sileane-toolbox" if protocol is None else ""
     return [
         Condition("images", table.images, f"{len(result.image_ids):,} images, {here}", False if simulated else None),
-        Condition(
-            "object", ", ".join(table.columns), f"{result.object_name}, by name", False if column is None else None
-        ),
+        Condition("object", ", ".join(table.columns), f"{result.object_title}, by name", object_holds),
         Condition("criterion", table.measure, f"{rules.criterion} at most {rules.threshold:g}", criterion),
         Condition("instances to find", stated, f"at least {100 * rules.min_visibility:g} % visible", visibility),
         Condition("protocol", PROTOCOL, f"{rules.protocol}{best}{exact}", False if best else protocol),

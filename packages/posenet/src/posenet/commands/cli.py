@@ -72,7 +72,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     from posenet.training.train import intact_frames
 
     if out is None:
-        out = Path("runs") / f"{intact_frames(list(shards)).model.name}-{preset_name}"
+        out = Path("runs") / f"{intact_frames(list(shards)).model.name or 'object'}-{preset_name}"
     run = train(
         FitOptions(
             shards=list(shards),
@@ -213,7 +213,7 @@ def _summary(model: Path, as_json: bool = False) -> str:
     return "\n".join(
         [
             f"model       {model}",
-            f"object      {network.model.name}, diameter {network.model.diameter * 1e3:.1f} mm, "
+            f"object      {network.model.title}, diameter {network.model.diameter * 1e3:.1f} mm, "
             f"symmetry {network.model.symmetry.name}",
             f"preset      {network.config.preset}, {count / 1e6:.2f} M parameters",
             f"camera      {camera.width} x {camera.height}, fx {camera.fx:.1f}, "

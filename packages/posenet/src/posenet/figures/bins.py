@@ -40,7 +40,7 @@ def draw_bins(network: PoseNetwork) -> Figure:
     sheet = [[surface.seen(0.0, _center(b, row), _center(c, column)) for column in columns] for row in range(b.count)]
     turns = [surface.seen(_center(a, turn), _center(b, b.count // 2), 0.0) for turn in _some(a, MOST_COLUMNS)]
     figure = new_figure(10.5, 0.98 * (b.count + 1) + 2.0)
-    figure.suptitle(f"{network.model.name}: the angle bins\n\n{WORDS}", fontsize=10, color=INK, x=0.01, ha="left")
+    figure.suptitle(f"{network.model.title}: the angle bins\n\n{WORDS}", fontsize=10, color=INK, x=0.01, ha="left")
     upper, lower = figure.subplots(2, 1, height_ratios=[b.count, 1.0])
     _show(upper, sheet, f"spin c: {len(columns)} of {c.count} bins of {c.width * DEGREES:.3g}°", c, columns)
     upper.set_ylabel(f"tilt b: {b.count} bins of {b.width * DEGREES:.3g}°", color=INK)
@@ -94,5 +94,5 @@ class _Surface:
 
 def _sampled(model: ObjectModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if model.vertices is None or model.faces is None:
-        raise InputError(f"object '{model.name}' has no mesh in the model file, so its views cannot be drawn.")
+        raise InputError(f"object '{model.title}' has no mesh in the model file, so its views cannot be drawn.")
     return sample_surface_with_normals(model.vertices, model.faces, SURFACE_POINTS)

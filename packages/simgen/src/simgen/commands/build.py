@@ -134,7 +134,7 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     job = with_options(job, config)
     click.echo(
         f"{folder}: {config.scenes} scenes of {config.instances_min} to {config.instances_max} instances of "
-        f"'{job.model.name}', {config.camera.width} x {config.camera.height} pixels, depth unit {job.depth_unit:g} m."
+        f"'{job.model.title}', {config.camera.width} x {config.camera.height} pixels, depth unit {job.depth_unit:g} m."
     )
     if config.sensor is not None:
         click.echo(config.sensor.describe(config.camera, *nearest_and_farthest(job)))

@@ -58,4 +58,4 @@ def _bar(frames: int) -> Any:
 
 
 def _content(dataset: Any) -> str:
-    return f"{len(dataset)} images of {len(set(dataset.scene_index.tolist()))} scenes of {dataset.header.object.name}"
+    return f"{len(dataset)} images of {len(set(dataset.scene_index.tolist()))} scenes of {dataset.header.object.title}"

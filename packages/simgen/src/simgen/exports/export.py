@@ -93,7 +93,7 @@ class _Silhouettes:
 
         model = dataset.header.object
         if model.vertices is None or model.faces is None:
-            raise InputError(f"object '{model.name}' has no mesh in the shards; build them again with this simgen.")
+            raise InputError(f"object '{model.title}' has no mesh in the shards; build them again with this simgen.")
         self._rasterizer = Rasterizer(dataset.header.camera, model.vertices, model.faces, EMPTY)
 
     def __call__(self, view: View) -> Iterator[NDArray[np.bool_]]:

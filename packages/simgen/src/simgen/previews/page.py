@@ -34,7 +34,7 @@ def preview_page(dataset: ShardDataset, frames: list[int]) -> str:
         _section("figures", "What the scenes are like", f"<div class='grid'>{charts}</div>"),
         _section("config", "Config", facts(_config(dataset))),
     ]
-    return page(f"{model.name}: {counted(len(dataset), 'frame')}", "\n".join(sections), viewer_script())
+    return page(f"{model.title}: {counted(len(dataset), 'frame')}", "\n".join(sections), viewer_script())
 
 
 def _header(dataset: ShardDataset, found: Survey) -> str:
@@ -50,7 +50,7 @@ def _header(dataset: ShardDataset, found: Survey) -> str:
     ]
     return f"""<header>
 <p class="kicker">What is in these shards? A preview by simgen {escape(header.software.get("binpose-simgen", ""))}</p>
-<h1>{escape(model.name)}</h1>
+<h1>{escape(model.title)}</h1>
 <p class="soft">diameter {1e3 * model.diameter:.4g} mm, symmetry {escape(model.symmetry.name)}</p>
 <nav><a href="#sheet">Contact sheet</a> <a href="#scene">A scene in 3D</a> <a href="#figures">Histograms</a>
 <a href="#config">Config</a></nav>

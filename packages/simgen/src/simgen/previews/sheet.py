@@ -39,7 +39,7 @@ def contact_sheet(dataset: ShardDataset, frames: Sequence[int]) -> Figure:
         _draw_depth(axes[0], view)
         _draw_instances(axes[1], view)
         _draw_poses(axes[2], view, model)
-    figure.suptitle(f"{model.name}: {_caption(dataset)}", x=0.01, ha="left", color=INK)
+    figure.suptitle(f"{model.title}: {_caption(dataset)}", x=0.01, ha="left", color=INK)
     return figure
 
 

@@ -112,12 +112,12 @@ def plan(
     jitter = "" if smallest == size else f" less --bin-jitter {config.pile.bin_jitter:g}"
     if min(smallest.width, smallest.depth) < diameter:
         raise InputError(
-            f"--bin {size}{jitter}: the object '{model.name}' is {diameter:g} m across; "
+            f"--bin {size}{jitter}: the object '{model.title}' is {diameter:g} m across; "
             "give a bin whose width and depth are larger, in metres, or --bin auto."
         )
     if fill_level(vertices, smallest, config.instances_max) > MAX_FILL:
         raise InputError(
-            f"--bin {size}{jitter}: {config.instances_max} instances of '{model.name}' do not fit into it; "
+            f"--bin {size}{jitter}: {config.instances_max} instances of '{model.title}' do not fit into it; "
             "give a larger --bin in metres or fewer --instances."
         )
     nearest, farthest = distance_range(config.viewpoints, config.camera, size, diameter)
@@ -230,7 +230,7 @@ class SceneRenderer:
 
 def _mesh_of(model: ObjectModel) -> Part:
     if model.vertices is None or model.faces is None:
-        raise InputError(f"object '{model.name}' has no mesh; give a mesh file to --object.")
+        raise InputError(f"object '{model.title}' has no mesh; give a mesh file to --object.")
     return model.vertices, model.faces
 
 

@@ -51,7 +51,7 @@ def write_dataset_files(dataset: Path, model: ObjectModel, camera: Camera, depth
         InputError: the object has no mesh.
     """
     if model.vertices is None or model.faces is None:
-        raise InputError(f"object '{model.name}' has no mesh, and BOP knows no object without one.")
+        raise InputError(f"object '{model.title}' has no mesh, and BOP knows no object without one.")
     intrinsics = {key: value for key, value in camera.to_json().items() if key not in ("width", "height")}
     size = {"width": camera.width, "height": camera.height}
     write_json(dataset / "camera.json", intrinsics | size | {"depth_scale": depth_unit / METRES}, indent=2)

@@ -71,7 +71,8 @@ def write_predictions(path: Path, predictions: Predictions, *, object_id: int | 
         raise InputError(f"{predictions.source}: its poses are in the world's frame, but BOP wants the camera's.")
     number = OBJECT_NAME.fullmatch(predictions.object_name)
     if object_id is None and number is None:
-        raise InputError(f"--to bop: '{predictions.object_name}' is not named obj_000001; give --object-id.")
+        name = f"the object's name, '{predictions.object_name}'," if predictions.object_name else "the object's name"
+        raise InputError(f"{predictions.source}: {name} does not tell BOP's number of it; give --object-id.")
     obj = int(number[1]) if object_id is None and number is not None else object_id
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         file.write(",".join(COLUMNS) + "\n")

@@ -43,6 +43,8 @@ CAMERA_FILE = "camera_params.txt"
 def read_ground_truth(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> GroundTruth:
     """Read FOLDER/poseutils.json and FOLDER/gt/*.json; visibility is 1 - occlusion_rate.
 
+    The format names no object, so the document has a name only where `object_name` gives one.
+
     Raises:
         InputError: a file is missing or is not what it should be.
     """
@@ -76,7 +78,7 @@ def _depth(path: Path, near: float, far: float) -> Array:
 
 
 def read_predictions(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> Predictions:
-    """Read the result files FOLDER/*.json; the object is named as the folder above, where poseutils.json lies.
+    """Read the result files FOLDER/*.json; as the ground truth, they name no object.
 
     Raises:
         InputError: there is no result file, or one is not what it should be.
@@ -87,7 +89,7 @@ def read_predictions(folder: Path, object_name: str | None = None, camera_params
     for path in _scene_files(folder):
         world_from_obj, score = parse_rows(load_json(path), "score", str(path))
         images.append(PredictionImage(path.stem, cam_from_world @ world_from_obj, score))
-    return Predictions(object_name or _named(folder).parent.name, images, _frame(view), str(folder))
+    return Predictions(object_name or "", images, _frame(view), str(folder))
 
 
 def write_predictions(folder: Path, predictions: Predictions, camera_params: Path | None = None) -> str | None:
@@ -132,7 +134,7 @@ def read_object(folder: Path, name: str | None = None) -> ObjectModel:
     inertial_from_obj = poses.from_rotation_translation(poses.nearest_rotation(turn), shift)
     symmetry = _symmetry(path, document).rotated(inertial_from_obj[:3, :3].T)
     model = ObjectModel(
-        name=name or _named(folder).name,
+        name=name or "",
         diameter=threshold / THRESHOLD_RATIO,
         centroid=poses.invert(inertial_from_obj)[:3, 3],
         inertial_from_obj=inertial_from_obj,
