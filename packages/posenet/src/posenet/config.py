@@ -82,6 +82,7 @@ class TrainConfig:
     warmup: float = 0.08  # share of the run until the peak of one-cycle and constant; cosine begins at its peak
     ema: float = 0.0  # decay of the moving average of the weights that is validated and kept; 0: none
     clip_gradient: float = 20.0
+    object_pixels: float = 67.0  # images are reduced until objects are about so large; 0: never
     min_visibility: float = 0.2  # instances seen less than this do not train
     box_jitter: float = 0.08  # of a box's side, uniform
     augment_noise: float = 0.0  # depth noise added on the fly: its largest standard deviation, in diameters
@@ -126,7 +127,10 @@ class Config:
 
 
 # What files say that were written before there was a choice.
-_BEFORE: dict[str, dict[str, Any]] = {"network": {"crop_widths": (32, 64, 64), "crop_layers": 1}}
+_BEFORE: dict[str, dict[str, Any]] = {
+    "network": {"crop_widths": (32, 64, 64), "crop_layers": 1},
+    "train": {"object_pixels": 0.0},
+}
 _SECTIONS = {"network": NetworkConfig, "loss": LossConfig, "train": TrainConfig}
 
 
@@ -172,6 +176,7 @@ def paper() -> Config:
         ),
         TrainConfig(
             batch_images=1,
+            object_pixels=0.0,
             rois_per_image=32,
             optimizer="adam",
             learning_rate=1e-5,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,18 @@ class Camera:
         cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
         return Camera(width, height, self.fx * sx, self.fy * sy, cx, cy)
 
+    def sampled(self, width: int, height: int) -> Camera:
+        """The camera of an image of that size that takes the nearest pixel of this camera's for each of its own.
+
+        As :meth:`resized`, but the principal point lies where the pixels that were taken say. Of two pixels that are
+        equally near, sampling takes the right and lower one: at half the size each ray is half a pixel farther on than
+        `resized` has it.
+        """
+        grid = self.resized(width, height)
+        cx = _sampled_principal(self.cx, self.width, width)
+        cy = _sampled_principal(self.cy, self.height, height)
+        return replace(grid, cx=cx, cy=cy)
+
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
 
@@ -101,3 +113,13 @@ class Camera:
             InputError: the file is none of these.
         """
         return cls.from_json(read_intrinsics(Path(path)), where=str(path))
+
+
+def nearest_pixels(count: int, of: int) -> NDArray[np.int64]:
+    """Which of `of` pixels in a row (or column) each of `count` pixels takes that stand for the same length."""
+    return np.minimum(((np.arange(count) + 0.5) * (of / count)).astype(np.int64), of - 1)
+
+
+def _sampled_principal(principal: float, of: int, count: int) -> float:
+    """Where, in pixels of the sampled row, the ray of `principal` lies: the mean over all samples."""
+    return float(np.mean(np.arange(count) - (nearest_pixels(count, of) - principal) * (count / of)))

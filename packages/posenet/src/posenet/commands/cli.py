@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from evalkit.commands.group import Commands
+from posenet.commands.log import show_log
 from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, preset, with_options
 
 
@@ -33,6 +34,11 @@ def main() -> None:
     default=1,
     show_default=True,
     help="GPUs, or processes on the CPU, that share every batch; the result is that of one.",
+)
+@click.option(
+    "--scale",
+    type=click.FloatRange(0, 1, min_open=True),
+    help="Factor on the images' sides.  [default: so that objects are about 67 pixels across]",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--optimizer", type=click.Choice(OPTIMIZERS), default=None, help="What steps along the gradients.")
@@ -71,6 +77,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     from posenet.training.train import fit as train
     from posenet.training.train import intact_frames
 
+    show_log()
     if out is None:
         out = Path("runs") / f"{intact_frames(list(shards)).model.name or 'object'}-{preset_name}"
     run = train(
@@ -82,6 +89,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
             epochs=options["epochs"],
             device=options["device"],
             devices=options["devices"],
+            scale=options["scale"],
             seed=options["seed"],
             validate=options["validation"],
             backbone_weights=options["backbone_weights"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,11 +14,10 @@ from evalkit.drawing.overlays import draw_poses, shade
 from evalkit.errors import InputError
 from posenet.coding import euler
 from posenet.detectors.base import Detections
-from posenet.network.depth_input import intrinsics_of
+from posenet.network.depth_input import intrinsics_of, pad_to_multiple, resample
 from posenet.network.hypotheses import Hypotheses
 from posenet.network.pose_heads import PoseOutputs
 from posenet.network.pose_network import PoseNetwork
-from posenet.prediction.any_camera import pad_to_multiple
 
 # Rank of a hypothesis in its detection to a colour, RGB; told apart by the colour-blind too (Wong 2011).
 COLORS = ((0, 158, 115), (230, 159, 0), (86, 180, 233), (204, 121, 167), (240, 228, 66))
@@ -67,8 +66,7 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
     Raises:
         InputError: the camera is not the one that the network was trained with, or nothing is found.
     """
-    if view.camera != network.camera:
-        raise InputError(f"image '{view.image_id}' is of another camera than the model's; draw on shards of its own.")
+    view = _as_trained(view, network)
     depth = pad_to_multiple(torch.from_numpy(view.depth)[None], network.backbone.stride)
     intrinsics = intrinsics_of(view.camera)[None]
     features, normals = network._features(depth, intrinsics)
@@ -78,3 +76,12 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
     scored = network._score_image(outputs, few, detections)
     score = network._final_logit(scored).sigmoid().double().numpy()
     return LookedAt(network, view, outputs, few, detections, scored.logit, score)
+
+
+def _as_trained(view: View, network: PoseNetwork) -> View:
+    """The frame on the pixel grid that the network was trained on."""
+    camera = network.camera
+    if camera not in (view.camera, view.camera.sampled(camera.width, camera.height)):
+        raise InputError(f"image '{view.image_id}' is of another camera than the model's; draw on shards of its own.")
+    raw, ids = (resample(torch.from_numpy(image), camera).numpy() for image in (view.depth_raw, view.instance_id))
+    return replace(view, camera=camera, depth_raw=raw, instance_id=ids, depth_ideal_raw=None)

@@ -2,7 +2,8 @@
 
 ``model.onnx``, once an image::
 
-    depth (1, H, W) metres, 0 = no return; intrinsics (1, 4) fx, fy, cx, cy
+    depth (1, H, W) metres, 0 = no return, as model.json's camera sees it (of larger images the nearest pixels);
+    intrinsics (1, 4) fx, fy, cx, cy
     -> features (1, C, h, w), normals (1, 3, H, W), score (1, N) 0..1, box (1, N, 4) pixels x0, y0, x1, y1
 
 ``model-regions.onnx``, for the R boxes that are left when those scored too low, and those that overlap a better one,

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from evalkit.geometry.camera import Camera
+from evalkit.geometry.camera import Camera, nearest_pixels
 from posenet.config import NetworkConfig
 
 CROP_CHANNELS = 4  # relative depth, two normal components, has a return
@@ -61,6 +61,27 @@ def network_input(
         return torch.stack([scaled, 1.0 - valid, normals[:, 2]], 1)
     scaled = ((depth - image_median(depth)[:, None, None]) / diameter).clamp(-4.0, 4.0) * valid
     return torch.stack([scaled, normals[:, 0], normals[:, 1]], 1)
+
+
+def resample(depth: Tensor, camera: Camera) -> Tensor:
+    """Depth (H, W) on the pixel grid of `camera`, of the same view (see :meth:`Camera.sampled`).
+
+    Nearest, for the mean of two depths is the depth of nothing. What is computed of neighbours afterwards, normals say,
+    looks as far as the new pixels are wide, which on a noisy camera's depth is better than next door.
+    """
+    if depth.shape == (camera.height, camera.width):
+        return depth
+    rows, columns = (
+        torch.from_numpy(nearest_pixels(count, of)).to(depth.device)
+        for count, of in zip((camera.height, camera.width), depth.shape, strict=True)
+    )
+    return depth[rows[:, None], columns]
+
+
+def pad_to_multiple(images: Tensor, stride: int) -> Tensor:
+    """Images (B, H, W) with rows and columns of no return at the bottom and right, so that cells cover every pixel."""
+    height, width = images.shape[-2:]
+    return F.pad(images, (0, -width % stride, 0, -height % stride))
 
 
 def median_depth(depth: Tensor, boxes: Tensor, image_index: Tensor, grid: int = 16) -> Tensor:

@@ -129,6 +129,7 @@ class PoseNetwork(nn.Module):
         that train together never wait for what one of them has not.
         """
         draws = batch.draws()
+        batch = batch._replace(depth=self._covered(batch.depth))
         features, normals = self._features(batch.depth, batch.intrinsics)
         image_size = batch.depth.shape[-2:]
         find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
@@ -148,6 +149,7 @@ class PoseNetwork(nn.Module):
     @torch.no_grad()
     def predict(self, depth: Tensor, intrinsics: Tensor) -> list[ImagePoses]:
         """Poses for images (B, H, W) in metres with intrinsics (B, 4), in eval mode; one entry an image."""
+        depth = self._covered(depth)
         features, normals = self._features(depth, intrinsics)
         return [self._ranked(scored) for scored in self._score(features, normals, depth, intrinsics)]
 
@@ -176,6 +178,10 @@ class PoseNetwork(nn.Module):
         device = next(self.parameters()).device.type
         with torch.autocast(device, dtype=torch.bfloat16, enabled=self.bf16):
             yield
+
+    def _covered(self, depth: Tensor) -> Tensor:
+        """Images (B, H, W) padded until the trunk's cells cover every pixel."""
+        return depth_input.pad_to_multiple(depth, self.backbone.stride)
 
     def _features(self, depth: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
         normals = depth_input.surface_normals(depth, intrinsics)

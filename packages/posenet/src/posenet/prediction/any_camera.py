@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
@@ -81,7 +79,7 @@ def trained_grid(depth: NDArray[np.float32], camera: Camera, network: PoseNetwor
             f"the camera's focal length of {camera.fx:.4g} x {camera.fy:.4g} pixels would need an image of "
             f"{width} x {height}; check fx and fy, or crop the image to the bin."
         )
-    return camera.resized(width, height)
+    return camera.sampled(width, height)
 
 
 def _zoom(depth: NDArray[np.float32], network: PoseNetwork) -> float:
@@ -95,17 +93,3 @@ def _zoom(depth: NDArray[np.float32], network: PoseNetwork) -> float:
         return 1.0
     # Rounded to a few steps, so that images of one sequence share a grid.
     return float(2 ** (round(4 * np.log2(2 * median / (near + far))) / 4))
-
-
-def resample(depth: Tensor, camera: Camera) -> Tensor:
-    """Depth (H, W) on the pixel grid of `camera`; nearest, for the mean of two depths is the depth of nothing."""
-    size = (camera.height, camera.width)
-    if depth.shape == size:
-        return depth
-    return torch.nn.functional.interpolate(depth[None, None], size=size, mode="nearest-exact")[0, 0]
-
-
-def pad_to_multiple(images: Tensor, stride: int) -> Tensor:
-    """Images (B, H, W) with rows and columns of no return at the bottom and right, so that cells cover every pixel."""
-    height, width = images.shape[-2:]
-    return torch.nn.functional.pad(images, (0, -width % stride, 0, -height % stride))

@@ -17,10 +17,10 @@ from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.device import choose_device, supports_bf16
 from posenet.models.model_file import load_model
-from posenet.network.depth_input import intrinsics_of
+from posenet.network.depth_input import intrinsics_of, resample
 from posenet.network.pose_network import ImagePoses, PoseNetwork
 from posenet.prediction.ablation import Ablation
-from posenet.prediction.any_camera import check_distance, pad_to_multiple, resample, trained_grid, without_nan
+from posenet.prediction.any_camera import check_distance, trained_grid, without_nan
 from posenet.refinement.refiner import Refiner
 
 # What refinement is given of an image. It tells two boxes of one instance from two instances, so that it may have both.
@@ -107,7 +107,6 @@ class Predictor:
 
     def _on_grid(self, depths: list[NDArray[np.float32]], camera: Camera, grid: Camera) -> list[PredictedPoses]:
         images = torch.stack([resample(torch.from_numpy(depth), grid) for depth in depths]).to(self.device)
-        images = pad_to_multiple(images, self.network.backbone.stride)
         intrinsics = intrinsics_of(grid).expand(len(images), 4).to(self.device)
         return [self._in_mesh_frame(image, camera, grid) for image in self.network.predict(images, intrinsics)]
 

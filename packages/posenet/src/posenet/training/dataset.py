@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.datasets.shard_reader import ShardReader
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
-from posenet.network.depth_input import intrinsics_of
+from posenet.network.depth_input import intrinsics_of, resample
 from posenet.network.targets import Batch
 
 LEAST_SCENES = 4
@@ -28,20 +30,28 @@ class Split:
 
 
 class Frames:
-    """A :class:`ShardDataset` as the network wants it."""
+    """A :class:`ShardDataset` as the network wants it, on the pixel grid of `camera`: the shards' own at first."""
 
     def __init__(self, source: Path | str | list[Path]) -> None:
         self.dataset = ShardDataset(source)
         if len(self.dataset) == 0:
             raise InputError(f"{source}: the shards hold no frames; build some with 'simgen build'.")
+        self.camera = self.stored_camera
 
     @property
-    def camera(self) -> Camera:
+    def stored_camera(self) -> Camera:
+        """The camera of the images as they lie in the shards."""
         return self.dataset.header.camera
 
     @property
     def model(self) -> ObjectModel:
         return self.dataset.header.object
+
+    def on_grid_of(self, camera: Camera) -> Frames:
+        """The same frames as images of another camera of the same views."""
+        other = copy(self)
+        other.camera = camera
+        return other
 
     def split(self, validation_share: float, seed: int, most_images: int) -> Split:
         """Hold out a share of the scenes, at least one; validate on at most `most_images` of their frames.
@@ -67,20 +77,29 @@ class Frames:
 
     def batch(self, frames: NDArray[np.int64], seeds: tuple[int, ...] | None = None) -> Batch:
         """The frames' images and labels; `seeds` (one a frame) decide what a training step leaves to chance."""
-        views = [self.dataset[int(frame)] for frame in frames]
-        intrinsics = intrinsics_of(self.camera).expand(len(views), 4)
-        labels = [view.instances for view in views]
+        located = [self.dataset.locate(int(frame)) for frame in frames]
+        labels = [reader.labels(number) for reader, number in located]
         return Batch(
-            depth=torch.stack([torch.from_numpy(view.depth) for view in views]),
-            intrinsics=intrinsics,
+            depth=torch.stack([self._depth(*place) for place in located]),
+            intrinsics=intrinsics_of(self.camera).expand(len(located), 4),
             poses=[torch.from_numpy(part.cam_from_obj).float() for part in labels],
-            boxes=[torch.from_numpy(part.box_visible).float() for part in labels],
+            boxes=[torch.from_numpy(part.box_visible * self._box_scale).float() for part in labels],
             visibility=[torch.from_numpy(part.visibility) for part in labels],
             seeds=seeds if seeds is not None else step_seeds(0, 0, frames),
         )
 
-    def depth_range(self, frames: NDArray[np.int64], min_visibility: float, most: int = 2000) -> tuple[float, float]:
-        """Nearest and farthest centroid, in metres, of the instances that train, in up to `most` of the frames.
+    def _depth(self, reader: ShardReader, number: int) -> torch.Tensor:
+        depth = torch.from_numpy(reader.depth_raw(number) * np.float32(self.dataset.header.depth_unit))
+        return resample(depth, self.camera)
+
+    @property
+    def _box_scale(self) -> NDArray[np.float64]:
+        """On x0, y0, x1, y1 in the shards."""
+        stored = self.stored_camera
+        return np.tile([self.camera.width / stored.width, self.camera.height / stored.height], 2)
+
+    def depths(self, frames: NDArray[np.int64], min_visibility: float, most: int = 2000) -> NDArray[np.float64]:
+        """Depth in metres of the centroid of each instance that trains, in up to `most` of the frames.
 
         Raises:
             InputError: no instance is visible enough to train on.
@@ -98,7 +117,7 @@ class Frames:
                 f"no instance in the shards is at least {min_visibility:.0%} visible, so there is nothing to train on; "
                 "check the shards with 'simgen preview'."
             )
-        return float(found.min()), float(found.max())
+        return found
 
 
 def epoch_order(frames: NDArray[np.int64], seed: int, epoch: int) -> NDArray[np.int64]:

@@ -21,6 +21,7 @@ class FitOptions:
     epochs: int | None = None
     device: str = "auto"
     devices: int = 1  # GPUs, or processes on the CPU, that share every batch
+    scale: float | None = None  # of the images' sides; None: as large as the network likes objects
     seed: int = 0
     validate: bool = True
     backbone_weights: Path | None = None  # ImageNet's VGG16, torchvision's file

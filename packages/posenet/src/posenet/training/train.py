@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from evalkit.atomic import sha256_of_file
@@ -24,6 +26,9 @@ from posenet.training.dataset import Frames, Split
 from posenet.training.fit_options import FitOptions
 from posenet.training.processes import Rank, processes
 from posenet.training.trainer import Trainer
+from posenet.training.working_scale import choose_scale
+
+log = logging.getLogger(__name__)
 
 
 def fit(options: FitOptions) -> RunFolder:
@@ -35,8 +40,7 @@ def fit(options: FitOptions) -> RunFolder:
         KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
     """
     device = choose_device(options.device, options.devices)
-    frames = intact_frames(options.shards)
-    split, network = _prepared(options, frames)
+    frames, split, network = _prepared(options, intact_frames(options.shards))
     run = RunFolder(options.out)
     resuming = run.claim(_identity(options, frames), _made_by(options, frames))
     follow = partial(_follow, options, resuming)
@@ -47,8 +51,7 @@ def fit(options: FitOptions) -> RunFolder:
 
 def _follow(options: FitOptions, resuming: bool, rank: Rank) -> None:
     """What :func:`fit` does in the processes beside the first, which has checked everything."""
-    frames = Frames(list(options.shards))
-    split, network = _prepared(options, frames)
+    frames, split, network = _prepared(options, Frames(list(options.shards)))
     with _reproducible(choose_device(options.device)):
         _train(Trainer(network, frames, split, RunFolder(options.out), options, rank), resuming)
 
@@ -59,8 +62,8 @@ def _train(trainer: Trainer, resuming: bool) -> None:
     trainer.train()
 
 
-def _prepared(options: FitOptions, frames: Frames) -> tuple[Split, PoseNetwork]:
-    """Which frames train, and the network as it begins."""
+def _prepared(options: FitOptions, frames: Frames) -> tuple[Frames, Split, PoseNetwork]:
+    """The frames at their working scale, which of them train, and the network as it begins."""
     config = options.config
     share = config.train.validation_share if options.validate else 0.0
     split = frames.split(share, options.seed, config.train.validation_images)
@@ -70,12 +73,24 @@ def _prepared(options: FitOptions, frames: Frames) -> tuple[Split, PoseNetwork]:
             f"--devices {options.devices}: a batch of {batch} image(s) cannot be shared by so many; give "
             f"--batch-images {options.devices} or more, and as many training images."
         )
+    depths = frames.depths(split.train, config.train.min_visibility)
+    frames = _at_working_scale(frames, options, float(np.median(depths)))
     torch.manual_seed(options.seed)
-    depth_range = frames.depth_range(split.train, config.train.min_visibility)
-    network = PoseNetwork(config, frames.model, depth_range, frames.camera)
+    network = PoseNetwork(config, frames.model, (float(depths.min()), float(depths.max())), frames.camera)
     if options.backbone_weights is not None:
         _load_backbone(network, options.backbone_weights)
-    return split, network
+    return frames, split, network
+
+
+def _at_working_scale(frames: Frames, options: FitOptions, distance: float) -> Frames:
+    stored = frames.stored_camera
+    scale = choose_scale(stored, frames.model.diameter, distance, options.config.train.object_pixels, options.scale)
+    camera = scale.camera(stored)
+    log.info(
+        "Images: %d x %d, read as %d x %d (--scale %.3g): %s.",
+        stored.width, stored.height, camera.width, camera.height, scale.factor, scale.reason,
+    )  # fmt: skip
+    return frames.on_grid_of(camera)
 
 
 def intact_frames(shards: list[Path]) -> Frames:
@@ -110,6 +125,7 @@ def _identity(options: FitOptions, frames: Frames) -> dict[str, Any]:
         "minutes": options.minutes,
         "epochs": options.epochs,
         "validate": options.validate,
+        "scale": options.scale,
         "backbone_weights": sha256_of_file(weights) if weights is not None else None,
         "data": {"sha256": data_hash(frames.dataset), "shards": shard_hashes(frames.dataset)},
     }

@@ -26,7 +26,9 @@ def validate(network: PoseNetwork, frames: Frames, numbers: NDArray[np.int64], d
             reader, row = frames.dataset.locate(int(number))
             labels = reader.labels(row)
             name = reader.image_id(row)
-            truth.append(GroundTruthImage(name, frames.camera, labels.cam_from_obj, labels.visibility.astype(float)))
+            truth.append(
+                GroundTruthImage(name, frames.stored_camera, labels.cam_from_obj, labels.visibility.astype(float))
+            )
             poses = network.codec.cam_from_obj(image.rotation, image.center)
             found.append(PredictionImage(name, poses, image.score.double().cpu().numpy()))
     return average_precision(Predictions(frames.model.name, found), GroundTruth(frames.model, truth))

@@ -29,6 +29,6 @@ def draw_validation(network: PoseNetwork, frames: Frames, number: int, device: t
     shown = (found.score >= LEAST_SCORE).nonzero()[:MOST_POSES, 0]
     predicted = network.codec.cam_from_obj(found.rotation[shown], found.center[shown])
     truth = view.instances.cam_from_obj[view.instances.visibility >= LEAST_VISIBILITY]
-    picture = draw_poses(view.depth, frames.camera, frames.model, truth, WHITE, scale=SCALE)
-    picture = draw_poses(view.depth, frames.camera, frames.model, predicted, GREEN, scale=SCALE, canvas=picture)
+    picture = draw_poses(view.depth, frames.stored_camera, frames.model, truth, WHITE, scale=SCALE)
+    picture = draw_poses(view.depth, frames.stored_camera, frames.model, predicted, GREEN, scale=SCALE, canvas=picture)
     return np.ascontiguousarray(picture[..., ::-1])
