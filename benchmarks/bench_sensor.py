@@ -1,7 +1,8 @@
-"""How like a real depth camera's the simulated errors are: our figures beside those of DESIGN.md, section 6.
+"""How like another depth camera's the simulated errors are: our figures beside those of Siléane's noisy bunny.
 
-The three Siléane bunny scenes are rendered at their ground-truth poses with their camera, 1.3 m off, where the figures
-of DESIGN.md were measured; where the reference data is missing, heaps of random bunnies stand in. Time is CPU time.
+That bunny's noise is a simulated block-matching camera's, published with the dataset; its figures are explained in
+docs/own-camera.md. The three Siléane bunny scenes are rendered at their ground-truth poses with their camera, 1.3 m
+off, as there; where the reference data is missing, heaps of random bunnies stand in. Time is CPU time.
 
 python benchmarks/bench_sensor.py [--sensor stereo,baseline=0.1] [--repeats 5] [--picture sensor.png]
 """
@@ -55,7 +56,7 @@ def main() -> None:
     ]
     typical = float(np.median([np.median(ideal[ideal > 0]) for ideal, _ in pairs]))
     print(sensor.describe(camera, typical, typical))
-    print(f"{'':42}{'DESIGN':>8} {options.sensor:>8}")
+    print(f"{'':42}{'Siléane':>8} {options.sensor:>8}")
     for name, expected, ours in statistics(camera, pairs):
         print(f"{name:42}{expected:>8} {ours:8.3g}")
     for name, depths in (("ideal", [heap.rendering.depth for heap in heaps]), (sensor.model, [m for _, m in pairs])):
@@ -126,7 +127,7 @@ def plane(z: float) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 
 
 def statistics(camera: Camera, pairs: list[tuple[Depth, Depth]]) -> list[tuple[str, str, float]]:
-    """(name, DESIGN's figure, ours) of each figure, over all (ideal, measured) pairs."""
+    """(name, Siléane's figure, ours) of each figure, over all (ideal, measured) pairs."""
     rows = [("missing, %", "16.6", 100 * mean([(m == 0).mean() for _, m in pairs]))]
     by_slope: dict[tuple[int, int], list[Depth]] = {slopes: [] for slopes in SLOPES}
     smooth, close, right, left, edge = [], [], [], [], list[Depth]()

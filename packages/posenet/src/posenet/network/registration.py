@@ -64,7 +64,7 @@ def relation_features(
     model_box: Tensor,  # (2, 3) lowest and highest corner, object frame, metres
     max_neighbours: int = MAX_NEIGHBOURS,
 ) -> Relations:
-    """The 13 numbers of each pair of neighbours (DESIGN section 5).
+    """The 13 numbers of each pair of neighbours (docs/network.md).
 
     Neighbours are hypotheses whose 3D boxes overlap, siblings, and oneself; of more than `max_neighbours` those of
     largest overlap are kept. The 3D boxes are the axis-parallel ones, in the camera's frame, around the posed model

@@ -97,11 +97,11 @@ class SensorConfig:
 
 
 def stereo() -> SensorConfig:
-    """Two cameras with block matching: the errors measured on the Siléane bunny at 1.3 m (DESIGN.md, section 6).
+    """Two cameras with block matching, fitted to Siléane's published noisy bunny, a simulated block-matching camera.
 
-    The baseline is a compact camera's, a choice; so are the disparity's step (1/32 px, usual for such cameras), the
-    jump that makes a step and the slope that still returns. The rest is fitted to DESIGN.md's figures, beside which
-    benchmarks/bench_sensor.py prints ours.
+    Its errors at 1.3 m are in docs/own-camera.md, and benchmarks/bench_sensor.py prints ours beside them. The baseline
+    is a compact camera's, a choice; so are the disparity's step (1/32 px, usual for such cameras), the jump that makes
+    a step and the slope that still returns.
     """
     return SensorConfig(
         model="stereo",
