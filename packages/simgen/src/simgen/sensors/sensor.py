@@ -33,7 +33,7 @@ CLOSE = 4  # pixels from a step within which wrong patches have their middles
 PATCH_RADIUS = (2.0, 5.0)  # pixels, of wrong patches
 PATCH_JUMP = 4.0  # pixels beyond its own rim from which a wrong patch may have its disparity
 FAILURE_BLUR = 2.5  # pixels; failures are where a field so smooth is lowest
-# White noise plus two blurs of it, whose correlation is 0.63 / 0.44 / 0.32 / 0.17 at 1 / 2 / 3 / 5 pixels (docs/own-camera.md)
+# White noise plus two blurs of it: correlated 0.63 / 0.44 / 0.32 / 0.17 at 1 / 2 / 3 / 5 pixels (docs/own-camera.md).
 NOISE_BLURS = ((2.5, 1.0), (9.5, 3.1))  # weight, standard deviation in pixels
 
 Image = NDArray[np.float32]
