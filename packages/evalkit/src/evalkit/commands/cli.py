@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from evalkit.atomic import sha256_of_file, write_json
+from evalkit.commands.camera import camera
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands
 from evalkit.datasets import documents
@@ -29,6 +30,7 @@ def main() -> None:
 main.add_command(gt)
 main.add_command(preds)
 main.add_command(depth)
+main.add_command(camera)
 
 
 def evaluation_options(command: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evalkit.errors import InputError
-from evalkit.geometry.camera_files import read_intrinsics
 
+log = logging.getLogger(__name__)
 MAX_SIDE = 16384
 LARGEST = 1e12  # no intrinsic is near it, and integers beyond 1e308 are no floats
 
@@ -107,12 +108,21 @@ class Camera:
 
     @classmethod
     def load(cls, path: Path | str) -> Camera:
-        """Read a camera from our JSON file, a BOP camera.json, or a ROS camera_info in YAML.
+        """Read the pinhole camera of any file that :func:`evalkit.geometry.camera_files.read_camera` knows.
+
+        What the file has beyond it, such as distortion, is logged as a warning; `read_camera` gives it.
 
         Raises:
-            InputError: the file is none of these.
+            InputError: the file holds no pinhole camera.
         """
-        return cls.from_json(read_intrinsics(Path(path)), where=str(path))
+        from evalkit.geometry.camera_files import distortion_warning, read_camera
+
+        found = read_camera(path)
+        for remark in found.remarks:
+            log.warning(remark)
+        if found.lens is not None:
+            log.warning("%s: %s", path, distortion_warning(found.lens))
+        return found.camera
 
 
 def nearest_pixels(count: int, of: int) -> NDArray[np.int64]:

@@ -1,127 +1,268 @@
-"""Cameras as other people's files describe them: ROS camera_info, BOP camera.json, and our own JSON."""
+"""Cameras as other people's files describe them: the pinhole camera, the lens before it, and what was chosen."""
 
 from __future__ import annotations
 
-import json
-import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
+from evalkit.geometry import camera_text
+from evalkit.geometry.camera import Camera
+from evalkit.geometry.camera_fields import RADIAL, Fields, find_camera, number, numbers
+from evalkit.geometry.camera_window import windowed
+from evalkit.geometry.lens import Lens
 
-SUFFIXES_OF_YAML = (".yaml", ".yml")
-FORMATS = "give width, height, fx, fy, cx, cy as JSON, a BOP camera.json, or a ROS camera_info as YAML"
-LARGEST_FILE = 1 << 20  # bytes; such files hold a few hundred
-FISHEYES = ("equidistant", "fisheye", "kannala", "omni", "mei", "unified", "ftheta", "f-theta")
+FISHEYES = ("equidistant", "fisheye", "kannala", "omni", "mei", "unified", "ftheta", "f-theta", "eucm", "ds")
+KNOWN_LENSES = (
+    "plumb_bob", "rational_polynomial", "brown", "radtan", "none", "pinhole", "opencv", "perspective", "radial", "",
+)  # fmt: skip
+REALSENSE = {0: "none", 1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 4: "brown_conrady"}
 NEGLIGIBLE = 1e-9  # distortion coefficients and skew per focal length that are written out as good as zero
+SAME_PIXELS = 1e-3  # by which K and P differ when they are the same camera
+BOP_SCALES = (0.01, 10.0)  # millimetres a step; a depth_scale beyond is of another convention
+# COLMAP's parameters by camera model, in the order in which cameras.txt has them
+COLMAP = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"), "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}  # fmt: skip
 
 
-def read_intrinsics(path: Path) -> Any:
-    """The document ``{"width", "height", "fx", "fy", "cx", "cy"}`` that is in a camera file, not yet checked.
+@dataclass(frozen=True)
+class CameraFile:
+    """What a camera file says.
 
-    BOP's camera.json has these very fields. Of a ROS camera_info, as its calibrator saves it (image_width,
-    image_height, camera_matrix) or as a topic prints it (width, height, K or k), it is the camera matrix; the
-    projection matrix P is taken where there is none. Lens distortion is not modelled; that there is some is said on
-    stderr.
+    Attributes:
+        camera: the pinhole camera. Images as taken are its images only where `lens` is None.
+        lens: what distorts the images as taken; ``lens.rectify(depth, camera)`` makes them the pinhole camera's.
+        remarks: sentences on what the file has beyond a pinhole camera, and which of its fields were followed.
+        depth_unit: metres a step of its depth images, where the file says so (BOP's depth_scale).
+    """
+
+    camera: Camera
+    lens: Lens | None = None
+    remarks: tuple[str, ...] = ()
+    depth_unit: float | None = None
+
+
+def read_camera(path: Path | str, rectified: bool = False) -> CameraFile:
+    """Read a camera of ours, BOP, ROS, OpenCV, RealSense, Open3D, Zivid, Kalibr, nerfstudio, COLMAP or Siléane.
+
+    Args:
+        rectified: the images were rectified; they then follow the projection matrix P of a ROS camera_info.
 
     Raises:
-        InputError: the file is neither JSON nor YAML, holds no camera, or not that of a pinhole camera.
+        InputError: it is none of these, its fields contradict each other, or it is no pinhole camera's.
+        OSError: the file cannot be read.
     """
-    document = _parse(path)
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: holds no camera; {FORMATS}.")
-    _refuse_fisheye(document, str(path))
-    if not {"fx", "fy", "cx", "cy"}.isdisjoint(document):
+    where = str(path)
+    fields = _expanded(find_camera(_one_of_a_scene(camera_text.parse(Path(path)), Path(path)), where), where)
+    _refuse_fisheye(fields, where)
+    matrix, source = _camera_matrix(fields, where, rectified)
+    window, remarks = windowed(_size(fields, where), fields, where)
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    full = Camera.from_json(
+        {"width": window.full[0], "height": window.full[1], "fx": fx, "fy": fy, "cx": cx, "cy": cy}, where
+    )
+    camera = window.of(full, where)
+    lens = None if rectified or source == "projection" else _lens(fields, matrix[0, 1], where)
+    if lens is not None:
+        lens = replace(lens, skew=lens.skew * camera.fx / full.fx)
+    remarks = [f"{where}: {remark}" for remark in [*remarks, *_matrix_remarks(fields, source, rectified, lens, where)]]
+    unit = _depth_unit(fields, where, remarks)
+    return CameraFile(camera, lens, tuple(remarks), unit)
+
+
+def distortion_warning(lens: Lens) -> str:
+    """What must be done about a lens where images cannot be rectified here."""
+    return (
+        f"its lens distortion ({lens.describe()}) is no part of a pinhole camera: rectify the depth images to its "
+        "camera matrix first, as 'posenet predict' does by itself."
+    )
+
+
+def _one_of_a_scene(document: Any, path: Path) -> Any:
+    """BOP's scene_camera.json has a camera for every image: that of all, and the size of the images beside it."""
+    if not isinstance(document, dict) or not document or not all(str(key).isdecimal() for key in document):
         return document
-    matrix = _camera_matrix(document, str(path))
-    if matrix is None:
-        raise InputError(f"{path}: holds no camera; {FORMATS}.")
-    if _is_distorted(document, str(path)):
-        print(
-            f"Warning: {path}: its lens distortion is ignored, for cameras are pinholes here; "
-            "rectify the depth images to its camera matrix first.",
-            file=sys.stderr,
+    entries = list(document.values())
+    if not all(isinstance(entry, dict) and "cam_K" in entry for entry in entries):
+        return document
+    if any(entry["cam_K"] != entries[0]["cam_K"] for entry in entries):
+        raise InputError(
+            f"{path}: its images have different cameras; give 'posenet predict' the scene's folder, {path.parent}, "
+            "which reads each image with its own."
         )
-    sides = {side: document.get(f"image_{side}", document.get(side)) for side in ("width", "height")}
-    for side, value in sides.items():
+    from evalkit.adapters.depth_images import image_size
+
+    pictures = (file for kind in ("depth", "rgb", "gray") for file in sorted((path.parent / kind).glob("*.*")))
+    picture = next(pictures, None)
+    if picture is None:
+        raise InputError(
+            f"{path}: holds no image size and lies beside no images; give the dataset's BOP camera.json instead."
+        )
+    width, height = image_size(picture)
+    return {"width": width, "height": height} | {k: entries[0].get(k) for k in ("cam_K", "depth_scale")}
+
+
+def _expanded(fields: Fields, where: str) -> Fields:
+    """Fields that stand for several: COLMAP's row, one focal length, a size, a principal point."""
+    if "colmap" in fields:
+        return _colmap(fields["colmap"], where)
+    fields = dict(fields)
+    for name, parts in (("f", ("fx", "fy")), ("size", ("width", "height")), ("center", ("cx", "cy"))):
+        if name not in fields:
+            continue
+        value = fields.pop(name)
+        if not isinstance(value, list) or len(value) != 2:
+            value = [value, value] if name == "f" and not isinstance(value, list) else None
         if value is None:
-            raise InputError(f"{path}: holds a camera matrix but no image_{side}; add it, in pixels.")
-    (fx, _, cx), (_, fy, cy) = matrix[0], matrix[1]
-    return sides | {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
+            raise InputError(f"{where}: the field '{name}' must hold two numbers.")
+        for part, found in zip(parts, value, strict=True):
+            fields.setdefault(part, found)
+    return fields
 
 
-def _parse(path: Path) -> Any:
-    with open(path, "rb") as file:
-        raw = file.read(LARGEST_FILE + 1)
-    if len(raw) > LARGEST_FILE:
-        raise InputError(f"{path}: too large for a camera file; {FORMATS}.")
-    is_yaml = path.suffix.lower() in SUFFIXES_OF_YAML
-    try:
-        text = raw.decode("utf-8")
-        return _first_of_yaml(text) if is_yaml else json.loads(text)
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f" in line {error.problem_mark.line + 1}"
-        raise InputError(f"{path}: not a YAML file ({error.problem or error.context}{line}); {FORMATS}.") from None
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: not a {'YAML' if is_yaml else 'JSON'} file ({reason}); {FORMATS}.") from None
+def _colmap(rows: list[list[Any]], where: str) -> Fields:
+    if len({tuple(row[1:]) for row in rows}) != 1:
+        raise InputError(f"{where}: holds {len(rows)} cameras; leave the line of the one that took the depth images.")
+    _, model, width, height, *values = rows[0]
+    names = COLMAP.get(model)
+    if names is None or len(names) != len(values):
+        raise InputError(
+            f"{where}: the camera model {model} with {len(values)} parameters is not read; known are "
+            f"{', '.join(COLMAP)}; undistort the images, and give the pinhole camera of the result."
+        )
+    fields: Fields = dict(zip(names, values, strict=True)) | {"width": width, "height": height}
+    for axis in ("cx", "cy"):
+        fields[axis] = number(fields, axis, where) - 0.5  # COLMAP counts from the corner of the first pixel
+    return _expanded(fields, where)
 
 
-def _first_of_yaml(text: str) -> Any:
-    """The first document that is not empty: a topic that is printed ends each message with ``---``."""
-    return next((document for document in yaml.safe_load_all(text) if document is not None), None)
+def _size(fields: Fields, where: str) -> tuple[int, int]:
+    sides = []
+    for side in ("width", "height"):
+        if side not in fields:
+            raise InputError(f"{where}: holds a camera but no image size; add image_{side}, in pixels.")
+        value = number(fields, side, where)
+        if value != int(value):
+            raise InputError(f"{where}: '{side}' must be a whole number of pixels.")
+        sides.append(int(value))
+    return sides[0], sides[1]
 
 
-def _camera_matrix(document: dict[Any, Any], where: str) -> NDArray[np.float64] | None:
-    """The upper left (3, 3) of the first matrix that a camera_info has; None where it has none."""
-    for key, columns in (("camera_matrix", 3), ("K", 3), ("k", 3), ("projection_matrix", 4), ("P", 4), ("p", 4)):
-        if key in document:
-            matrix = _numbers(document[key], where, key)
-            if len(matrix) != 3 * columns:
-                raise InputError(
-                    f"{where}: '{key}' must hold {3 * columns} numbers, row by row, as camera_info has it."
-                )
-            return _pinhole(matrix.reshape(3, columns)[:, :3], where, key)
-    return None
+def _camera_matrix(fields: Fields, where: str, rectified: bool) -> tuple[NDArray[np.float64], str]:
+    """The intrinsics (3, 3) that the images follow, skew included, and the name of the field that they came from."""
+    names = [name for name in ("matrix", "projection") if name in fields]
+    known = {name: _matrix(fields, name, where) for name in names}
+    if not {"fx", "fy", "cx", "cy"}.isdisjoint(fields):
+        fx, fy, cx, cy = (number(fields, name, where) for name in ("fx", "fy", "cx", "cy"))
+        skew = number(fields, "skew", where) if "skew" in fields else 0.0
+        single = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        if "matrix" in known and np.abs(known["matrix"] - single).max() > SAME_PIXELS:
+            raise InputError(
+                f"{where}: fx, fy, cx, cy and the camera matrix say different things; keep the one that is right."
+            )
+        known["matrix"] = single
+    elif "skew" in fields and "matrix" in known and known["matrix"][0, 1] == 0:
+        known["matrix"][0, 1] = number(fields, "skew", where)
+    if "projection" in known and (rectified or "matrix" not in known):
+        return known["projection"], "projection"
+    return known["matrix"], "matrix"
 
 
-def _pinhole(matrix: NDArray[np.float64], where: str, key: str) -> NDArray[np.float64]:
+def _matrix(fields: Fields, name: str, where: str) -> NDArray[np.float64]:
+    columns, key = (4, "P") if name == "projection" else (3, "K")
+    values = numbers(fields[name], where, key)
+    if len(values) != 3 * columns:
+        raise InputError(f"{where}: '{key}' must hold {3 * columns} numbers, row by row, as camera_info has it.")
+    matrix = values.reshape(3, columns)[:, :3]
     if matrix[0, 0] == 0 and matrix[1, 1] == 0:
         raise InputError(
             f"{where}: '{key}' is all zeros, as of a camera that was never calibrated; calibrate it first."
         )
-    zeros = np.abs([matrix[0, 1], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
+    zeros = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
     if not zeros <= NEGLIGIBLE * max(1.0, abs(matrix[0, 0])):
-        raise InputError(f"{where}: '{key}' must be fx 0 cx, 0 fy cy, 0 0 1, row by row; skew is not modelled.")
-    return matrix
+        raise InputError(f"{where}: '{key}' must be fx skew cx, 0 fy cy, 0 0 1, row by row; write it so.")
+    return matrix.copy()
 
 
-def _refuse_fisheye(document: dict[Any, Any], where: str) -> None:
+def _refuse_fisheye(fields: Fields, where: str) -> None:
     """A fisheye's matrix is not a pinhole's, not even where all its coefficients are zero."""
-    model = document.get("distortion_model")
-    if isinstance(model, str) and any(name in model.lower() for name in FISHEYES):
+    model = " ".join(name for name in (_model(fields), str(fields.get("cameramodel", "")).lower()) if name)
+    is_fisheye = any(name in model if len(name) > 3 else name in model.split() for name in FISHEYES)
+    if is_fisheye or fields.get("fisheye") not in (None, 0, False):
+        said = fields.get("model") or fields.get("cameramodel") or "fisheye"
         raise InputError(
-            f"{where}: its distortion_model is '{model}', of a fisheye lens, but cameras are pinholes here; rectify "
-            "the depth images, and give the pinhole camera that they were rectified to."
+            f"{where}: its distortion_model is '{said}', of a fisheye lens, but cameras are pinholes here; rectify the "
+            "depth images, and give the pinhole camera that they were rectified to."
         )
 
 
-def _is_distorted(document: dict[Any, Any], where: str) -> bool:
-    for key in ("distortion_coefficients", "D", "d"):
-        if document.get(key) is not None:
-            return bool((np.abs(_numbers(document[key], where, key)) > NEGLIGIBLE).any())
-    return False
+def _model(fields: Fields) -> str:
+    """The lens model's name in lower case; RealSense writes numbers too."""
+    model = fields.get("model", "")
+    if isinstance(model, int):
+        return REALSENSE.get(model, str(model))
+    return str(model).lower().removeprefix("distortion.").replace(" ", "_").replace("-", "_")
 
 
-def _numbers(value: Any, where: str, key: str) -> NDArray[np.float64]:
-    """A list of finite numbers, or ``{"data": [...]}`` as the calibrator writes matrices."""
-    values = value.get("data") if isinstance(value, dict) else value
-    if not isinstance(values, list) or not all(
-        isinstance(number, int | float) and not isinstance(number, bool) and abs(number) < 1e12 for number in values
-    ):
-        raise InputError(f"{where}: '{key}' must be a list of finite numbers, or have one as its 'data'.")
-    return np.array(values, float)
+def _lens(fields: Fields, skew: float, where: str) -> Lens | None:
+    """The lens, None where it changes nothing."""
+    if "distortion" in fields:
+        coefficients = tuple(numbers(fields["distortion"], where, "distortion_coefficients").tolist())
+    else:
+        coefficients = tuple(number(fields, k, where) if k in fields else 0.0 for k in RADIAL)
+    if not any(abs(c) > NEGLIGIBLE for c in coefficients):
+        coefficients = ()
+    if not coefficients and not abs(skew) > NEGLIGIBLE * max(1.0, abs(skew)):
+        return None
+    model = _model(fields)
+    if coefficients and not any(name in model for name in KNOWN_LENSES if name) and model:
+        raise InputError(
+            f"{where}: its distortion_model '{fields['model']}' is not known; rectify the depth images, and give the "
+            "pinhole camera that they were rectified to."
+        )
+    try:
+        return Lens(coefficients, skew, inverse="inverse" in model, radial_first="modified" in model)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _matrix_remarks(fields: Fields, source: str, rectified: bool, lens: Lens | None, where: str) -> list[str]:
+    """Which of K and P was followed, where it makes a difference."""
+    if "projection" not in fields:
+        return [] if not rectified else ["images count as rectified to the camera matrix, distortion is not applied."]
+    if source == "projection":
+        turned = "rectification" in fields and not np.allclose(
+            numbers(fields["rectification"], where, "R"), np.eye(3).ravel(), atol=1e-6
+        )
+        frame = " Poses are then in the rectified camera's frame, which R turns." if turned else ""
+        return [f"the projection matrix P is followed, as by rectified images (image_rect).{frame}"]
+    other = _matrix(fields, "projection", where)
+    matrix = _camera_matrix(fields, where, False)[0]
+    if lens is None and np.abs(other - matrix).max() <= SAME_PIXELS:
+        return []
+    return [
+        "the camera matrix K is followed, as by images as taken (image_raw); for rectified ones (image_rect), which "
+        "follow P, say --rectified."
+    ]
+
+
+def _depth_unit(fields: Fields, where: str, remarks: list[str]) -> float | None:
+    """Metres a step by BOP's depth_scale, which counts millimetres."""
+    if "depthscale" not in fields:
+        return None
+    scale = number(fields, "depthscale", where)
+    if BOP_SCALES[0] <= scale <= BOP_SCALES[1]:
+        return scale * 1e-3
+    remarks.append(
+        f"{where}: its depth_scale {scale:g} is not millimetres a step as BOP counts them, so it is left aside; say "
+        "--depth-unit."
+    )
+    return None

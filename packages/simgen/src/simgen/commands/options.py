@@ -85,7 +85,7 @@ camera_options = _group(
         "--camera",
         "camera_file",
         type=click.Path(path_type=Path),
-        help="Our JSON, a BOP camera.json, or a ROS camera_info as YAML.",
+        help="Camera file of ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
     ),
     click.option("--tilt", metavar="MIN-MAX", help="Of the optical axis from the vertical, in degrees."),
     click.option("--distance", metavar="MIN-MAX", help="Multiples of that from which the bin just fits the image."),
