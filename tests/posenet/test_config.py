@@ -7,7 +7,7 @@ import json
 import pytest
 
 from evalkit.errors import InputError
-from posenet.config import PRESETS, Config, preset
+from posenet.config import PRESETS, Config, preset, with_options
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -23,8 +23,23 @@ def test_a_document_from_before_the_crops_could_be_chosen_means_the_crops_of_the
     assert (network.crop_widths, network.crop_layers) == ((32, 64, 64), 1)
 
 
-def test_a_document_of_another_version_is_refused_in_one_sentence() -> None:
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"telepathy": True}, r"model.pt.network: the field 'telepathy' is unknown"),
+        ({"roi_size": "8"}, r"model.pt.network.roi_size: expected int, got str"),
+        ({"roi": "round"}, r"model.pt.network.roi: invalid value 'round'; use one of box, metric"),
+        ({"angle_bins": [30, 13]}, r"model.pt.network.angle_bins: expected array of length 3, got 2"),
+        ({"dropout": True}, r"model.pt.network.dropout: expected float, got bool"),
+    ],
+)
+def test_what_is_no_configuration_is_refused_by_its_field(changes: dict[str, object], sentence: str) -> None:
     document = preset("small").to_json()
-    document["network"]["telepathy"] = True
-    with pytest.raises(InputError, match="not a configuration of this posenet version"):
+    document["network"] |= changes
+    with pytest.raises(InputError, match=sentence):
         Config.from_json(document, "model.pt")
+
+
+def test_a_choice_that_there_is_not_is_refused_with_those_there_are() -> None:
+    with pytest.raises(InputError, match=r"option.roi: invalid value 'round'; use one of box, metric"):
+        with_options(preset("small"), "network", roi="round")

@@ -30,14 +30,15 @@ def test_every_config_comes_back(preset: str) -> None:
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (lambda d: d.pop("views"), "the field 'views' is not as this version has it"),
+        (lambda d: d.pop("views"), "the field 'views' is missing"),
         (lambda d: d["pile"].pop("layers"), "here.pile: the field 'layers'"),
         (lambda d: d["pile"].update(holes=3), "here.pile: the field 'holes'"),
-        (lambda d: d.update(views="3"), "'views' is not of type int"),
-        (lambda d: d.update(views=True), "'views' is not of type int"),
-        (lambda d: d.update(keep_ideal=1), "'keep_ideal' is not of type bool"),
+        (lambda d: d.update(views="3"), "here.views: expected int, got str"),
+        (lambda d: d.update(views=True), "here.views: expected int, got bool"),
+        (lambda d: d.update(keep_ideal=1), "here.keep_ideal: expected bool, got int"),
         (lambda d: d.update(views=0), "here: --views 0"),
-        (lambda d: d.update(physics=None), "here.physics: expected an object with simulated_diameter"),
+        (lambda d: d.update(physics=None), "here.physics: expected object, got null"),
+        (lambda d: d.update(physics=3), "here.physics: expected an object with the fields simulated_diameter"),
         (lambda d: d["camera"].pop("fx"), "here.camera: the field 'fx'"),
     ],
 )

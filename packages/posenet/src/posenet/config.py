@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from evalkit.errors import InputError
+from evalkit.typed import typed
 
 TASKS = ("offset", "depth", "rotation")
 OPTIMIZERS = ("adam", "adamw", "muon")
@@ -117,13 +118,12 @@ class Config:
         """Read what :meth:`to_json` writes.
 
         Raises:
-            InputError: a field is unknown to this version or missing.
+            InputError: a field is unknown to this version, missing or of another type.
         """
-        try:
-            parts = {name: _section(kind, _BEFORE.get(name, {}) | document[name]) for name, kind in _SECTIONS.items()}
-            return cls(preset=str(document["preset"]), **parts)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{where}: not a configuration of this posenet version ({error}).") from None
+        if not isinstance(document, dict):
+            raise InputError(f"{where}: expected the configuration of a network.")
+        before = {name: _BEFORE.get(name, {}) | part for name, part in document.items() if isinstance(part, dict)}
+        return typed(cls, document | before, where, complete=False)
 
 
 # What files say that were written before there was a choice.
@@ -131,11 +131,6 @@ _BEFORE: dict[str, dict[str, Any]] = {
     "network": {"crop_widths": (32, 64, 64), "crop_layers": 1},
     "train": {"object_pixels": 0.0},
 }
-_SECTIONS = {"network": NetworkConfig, "loss": LossConfig, "train": TrainConfig}
-
-
-def _section(kind: Any, values: dict[str, Any]) -> Any:
-    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
 
 
 def small() -> Config:
@@ -231,16 +226,5 @@ def with_options(config: Config, section: str, **options: Any) -> Config:
     unknown = sorted(set(chosen.get("tasks", ())) - set(TASKS))
     if unknown:
         raise InputError(f"option tasks: '{', '.join(unknown)}' is none of {', '.join(TASKS)}.")
-    hints = {f.name: f for f in dataclasses.fields(part)}
-    for key, value in chosen.items():
-        allowed = get_args(_literal(type(part), hints[key].name))
-        if allowed and value not in allowed:
-            raise InputError(f"option {key.replace('_', '-')}: '{value}' is none of {', '.join(map(str, allowed))}.")
-    return dataclasses.replace(config, **{section: dataclasses.replace(part, **chosen)})
-
-
-def _literal(kind: type, name: str) -> Any:
-    import typing
-
-    hint = typing.get_type_hints(kind)[name]
-    return hint if typing.get_origin(hint) is Literal else None
+    changed = typed(type(part), dataclasses.asdict(part) | chosen, "option", complete=False)
+    return dataclasses.replace(config, **{section: changed})

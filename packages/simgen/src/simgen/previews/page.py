@@ -5,16 +5,16 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
-from html import escape
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from evalkit.datasets.shard_folder import ShardDataset
-from evalkit.drawing.page import chart_figure, counted, data_uri, facts, page, tile
+from evalkit.drawing.page import render_page
 from simgen.physics.bin import recorded_bin
-from simgen.previews.scene_viewer import viewer_figure, viewer_script
+from simgen.previews.scene_viewer import scene_json, viewer_script
 from simgen.previews.sheet import contact_sheet, spread_frames
 from simgen.previews.survey import CLEAR, Survey, survey
 from simgen.previews.survey_charts import survey_charts
@@ -25,56 +25,43 @@ JPEG_QUALITY = 88
 
 def preview_page(dataset: ShardDataset, frames: list[int]) -> str:
     """The page; `frames` are those of the contact sheet, and the scene of the first is shown in 3D."""
-    model, found = dataset.header.object, survey(dataset, spread_frames(dataset, PIXEL_FRAMES))
-    charts = "".join(chart_figure(chart) for chart in survey_charts(found, model.symmetry.name))
-    sections = [
-        _header(dataset, found),
-        _section("sheet", "Contact sheet", _picture(contact_sheet(dataset, frames))),
-        _scene(dataset, frames[0]),
-        _section("figures", "What the scenes are like", f"<div class='grid'>{charts}</div>"),
-        _section("config", "Config", facts(_config(dataset))),
-    ]
-    return page(f"{model.title}: {counted(len(dataset), 'frame')}", "\n".join(sections), viewer_script())
+    header, found = dataset.header, survey(dataset, spread_frames(dataset, PIXEL_FRAMES))
+    scene = int(dataset.scene_index[frames[0]])
+    views = [dataset[int(number)] for number in np.flatnonzero(dataset.scene_index == scene)]
+    return render_page(
+        "simgen.previews",
+        "preview.html",
+        viewer_script(),
+        model=header.object,
+        frames=len(dataset),
+        version=header.software.get("binpose-simgen", ""),
+        tiles=_tiles(dataset, found),
+        sheet=_jpeg(contact_sheet(dataset, frames)),
+        scene=scene,
+        views=views,
+        scene_json=scene_json(views, header.object, recorded_bin(header.config, scene)),
+        charts=survey_charts(found, header.object.symmetry.name),
+        config=_config(dataset),
+    )
 
 
-def _header(dataset: ShardDataset, found: Survey) -> str:
-    header = dataset.header
-    model, camera = header.object, header.camera
+def _tiles(dataset: ShardDataset, found: Survey) -> list[tuple[str, ...]]:
+    """Label, value and note of each."""
+    camera = dataset.header.camera
     clear = np.mean(found.visibility >= CLEAR) if len(found.visibility) else 0.0
-    tiles = [
-        tile("scenes", f"{len(found.instances):,}", f"seed {header.seed}"),
-        tile("frames", f"{len(dataset):,}", f"{camera.width} x {camera.height} pixels"),
-        tile("instances a scene", f"{found.instances.mean():.1f}"),
-        tile("labels", f"{len(found.visibility):,}", f"{clear:.0%} at least half visible"),
-        tile("no return", f"{found.no_return:.2%}", "of the pixels"),
+    return [
+        ("scenes", f"{len(found.instances):,}", f"seed {dataset.header.seed}"),
+        ("frames", f"{len(dataset):,}", f"{camera.width} x {camera.height} pixels"),
+        ("instances a scene", f"{found.instances.mean():.1f}"),
+        ("labels", f"{len(found.visibility):,}", f"{clear:.0%} at least half visible"),
+        ("no return", f"{found.no_return:.2%}", "of the pixels"),
     ]
-    return f"""<header>
-<p class="kicker">What is in these shards? A preview by simgen {escape(header.software.get("binpose-simgen", ""))}</p>
-<h1>{escape(model.title)}</h1>
-<p class="soft">diameter {1e3 * model.diameter:.4g} mm, symmetry {escape(model.symmetry.name)}</p>
-<nav><a href="#sheet">Contact sheet</a> <a href="#scene">A scene in 3D</a> <a href="#figures">Histograms</a>
-<a href="#config">Config</a></nav>
-<dl class="tiles">{"".join(tiles)}</dl>
-</header>"""
 
 
-def _section(name: str, title: str, body: str) -> str:
-    return f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{body}\n</section>'
-
-
-def _picture(figure: Figure) -> str:
+def _jpeg(figure: Figure) -> bytes:
     written = io.BytesIO()
     figure.savefig(written, format="jpeg", pil_kwargs={"quality": JPEG_QUALITY})
-    return f'<figure><img alt="Contact sheet" src="{data_uri("image/jpeg", written.getvalue())}"></figure>'
-
-
-def _scene(dataset: ShardDataset, frame: int) -> str:
-    scene = dataset.scene_index[frame]
-    views = [dataset[int(number)] for number in np.flatnonzero(dataset.scene_index == scene)]
-    words = f"""<p class="soft">{counted(len(views[0].instances), "instance")} as labelled, and what the
-{counted(len(views), "camera")} measured, in colours of the instances.</p>"""
-    viewer = viewer_figure(views, dataset.header.object, recorded_bin(dataset.header.config, int(scene)))
-    return _section("scene", f"Scene {scene} in 3D", words + viewer)
+    return written.getvalue()
 
 
 def _config(dataset: ShardDataset) -> Iterator[tuple[str, str]]:
@@ -86,7 +73,7 @@ def _config(dataset: ShardDataset) -> Iterator[tuple[str, str]]:
         "software": header.software,
     }
     for name, value in _flat(document):
-        yield escape(name.replace("_", " ")), f"<code>{escape(_written(value))}</code>"
+        yield name.replace("_", " "), Markup("<code>{}</code>").format(_written(value))
 
 
 def _written(value: Any) -> str:

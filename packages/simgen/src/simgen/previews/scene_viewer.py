@@ -9,6 +9,7 @@ from typing import Any
 
 import fast_simplification
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
 from evalkit.datasets.scene import View
@@ -27,26 +28,15 @@ def viewer_script() -> str:
     return files("simgen.previews").joinpath("scene_viewer.js").read_text(encoding="utf-8")
 
 
-def viewer_figure(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> str:
-    """A canvas with its controls, as HTML.
+def scene_json(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> Markup:
+    """What the script draws a scene from, safe inside a page's JSON element.
 
     Args:
         views: of one scene; the instances are drawn where the first one's labels say, and the depth of all as points.
         bin_size: the scene's bin, where it is known.
     """
-    document = json.dumps(scene_document(views, model, bin_size), separators=(",", ":")).replace("<", "\\u003c")
-    cameras = "".join(f"<option value={number}>view {view.view_index}</option>" for number, view in enumerate(views))
-    return f"""<figure class="viewer">
-<p><label>Seen from <select data-show="from"><option value="-1">anywhere</option>{cameras}</select></label>
-<label><input type="checkbox" data-show="mesh" checked> instances</label>
-<label><input type="checkbox" data-show="points" checked> measured points</label>
-<label><input type="checkbox" data-show="bin" checked> bin</label>
-<label><input type="checkbox" data-show="cameras"> cameras</label></p>
-<canvas class="scene" tabindex="0" aria-label="Three-dimensional view of scene {views[0].scene_index}"></canvas>
-<script type="application/json">{document}</script>
-<figcaption>Drag to turn, drag with Shift to move, click and then scroll (or + and −) to come nearer, double-click to
-start again.</figcaption>
-</figure>"""
+    document = json.dumps(scene_document(views, model, bin_size), separators=(",", ":"))
+    return Markup(document.replace("<", "\\u003c"))
 
 
 def scene_document(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> dict[str, Any]:
