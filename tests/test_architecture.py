@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -65,6 +66,22 @@ def test_nothing_is_unpickled(package: str) -> None:
 def test_no_file_is_a_drawer_for_everything(package: str) -> None:
     names = {source.stem for source in sources(package)}
     assert not names & {"utils", "util", "helpers", "misc", "common"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_readme_lists_every_folder_of_a_package_and_no_other(package: str) -> None:
+    root = ROOT / "packages" / package / "src" / package
+    tree = (ROOT / "README.md").read_text(encoding="utf-8").split(f"packages/{package}/src/{package}/")[1]
+    listed = re.findall(r"^    ([\w/]+)/ ", tree.split("\npackages/")[0], re.MULTILINE)
+    folders = {source.parent.relative_to(root).as_posix() for source in sources(package)} - {"."}
+    assert sorted(listed) == sorted(folders)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_folder_says_what_lives_there(package: str) -> None:
+    for folder in {source.parent for source in sources(package)}:
+        text = (folder / "__init__.py").read_text(encoding="utf-8")
+        assert ast.get_docstring(ast.parse(text)), f"{folder.relative_to(ROOT)}/__init__.py has no docstring"
 
 
 @pytest.mark.parametrize("command", PACKAGES)
