@@ -31,10 +31,12 @@ from evalkit.objects.model import ObjectModel
 from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
 from simgen.config import default
 from simgen.objects.prepare import prepare_object
-from simgen.physics.bin import bin_mesh
+from simgen.physics.bin_shape import bin_mesh
 from simgen.rendering.labels import label_instances, quantised
 from simgen.rendering.renderers import DepthRenderer, depth_renderer
-from simgen.scenes.job import Job, plan, simulate_scene
+from simgen.scenes.job import Job
+from simgen.scenes.plan import plan
+from simgen.scenes.simulate import make_scene
 from simgen.sensors.config import SensorConfig, stereo
 from simgen.sensors.sensor import measure, sensor_generator
 
@@ -123,10 +125,10 @@ def measure_worker(job: Job, repeats: int) -> Measured:
     pixels: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shard.h5"
-        writer = ShardWriter(path, job.header(), job.config.scenes * job.config.views)
+        writer = ShardWriter(path, job.header, job.config.scenes * job.config.views)
         with writer:
             for number in range(job.config.scenes):
-                scene, attempts = measured.timed("physics", repeats, simulate_scene, job, number)
+                scene, attempts = measured.timed("physics", repeats, make_scene, job, number)
                 measured.scenes.append(scene)
                 measured.attempts.append(attempts)
                 renderer.set_background(*bin_mesh(job.scene_bin(number)))
@@ -155,12 +157,9 @@ def measure_frame(job: Job, measured: Measured, renderer: DepthRenderer, scene: 
 
 
 def renderer_of(job: Job, name: str = "cpu") -> DepthRenderer:
-    return depth_renderer(name, job.config.camera, mesh_of(job), bin_mesh(job.bin))
-
-
-def mesh_of(job: Job) -> tuple[Array, NDArray[np.int32]]:
-    assert job.model.vertices is not None and job.model.faces is not None
-    return job.model.vertices, job.model.faces
+    renderer = depth_renderer(name, job.config.camera, job.model.mesh)
+    renderer.set_background(*bin_mesh(job.bin))
+    return renderer
 
 
 def _sensor_of(job: Job, sensor: SensorConfig, scene: int, view: int) -> tuple[Any, SensorConfig, np.random.Generator]:
@@ -170,7 +169,7 @@ def _sensor_of(job: Job, sensor: SensorConfig, scene: int, view: int) -> tuple[A
 def report_stages(job: Job, measured: Measured) -> None:
     camera, views = job.config.camera, job.config.views
     print(
-        f"{job.model.name}, {len(mesh_of(job)[1]):,} faces; {job.config.scenes} scenes x {views} views of "
+        f"{job.model.name}, {len(job.model.mesh[1]):,} faces; {job.config.scenes} scenes x {views} views of "
         f"{camera.width} x {camera.height}, {np.mean([len(s.world_from_obj) for s in measured.scenes]):.1f} instances"
     )
     stages = {
@@ -203,7 +202,7 @@ def report_stages(job: Job, measured: Measured) -> None:
 
 def report_limit(job: Job, measured: Measured) -> None:
     """The share of what memory alone would allow, were every byte that a frame needs touched once."""
-    vertices, faces = mesh_of(job)
+    vertices, faces = job.model.mesh
     pixels = job.config.camera.width * job.config.camera.height
     instances = float(np.mean([len(scene.world_from_obj) for scene in measured.scenes]))
     touched = {
@@ -272,7 +271,7 @@ def start_embreex(job: Job, scene: Scene) -> Callable[[Array], object]:
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
-    vertices, faces = mesh_of(job)
+    vertices, faces = job.model.mesh
     placed = [(poses.apply(pose, vertices), faces) for pose in scene.world_from_obj]
     everything = [*placed, bin_mesh(job.scene_bin(scene.index))]
     worlds = []

@@ -10,7 +10,8 @@ from scipy.spatial import ConvexHull
 
 from evalkit.geometry import poses
 from simgen.config import PhysicsConfig
-from simgen.physics.pile import Body, World
+from simgen.physics.body import Body
+from simgen.physics.world import World
 from simgen.scenes.job import Job
 
 Array = NDArray[np.float64]

@@ -31,7 +31,10 @@ from evalkit.objects.symmetry import Symmetry
 from simgen.building.build import build, build_shard
 from simgen.commands.cli import cli
 from simgen.config import PRESETS, BinSize, BuildConfig, PileConfig, debug, default_camera
-from simgen.scenes.job import Job, SceneRenderer, depth_unit_for, plan, simulate_scene
+from simgen.scenes.job import Job
+from simgen.scenes.plan import depth_unit_for, plan
+from simgen.scenes.render import SceneRenderer
+from simgen.scenes.simulate import make_scene
 
 SMALL = replace(debug(), scenes=5, views=2, instances_min=2, instances_max=4, camera=default_camera(80, 60))
 
@@ -187,12 +190,12 @@ def test_scenes_can_be_simulated_one_by_one_in_any_order(built: Path) -> None:
     job = job_of()
     views = [view for view in ShardDataset(built) if view.view_index == 0]
     for index in (3, 0):
-        scene, _ = simulate_scene(job, index)
+        scene, _ = make_scene(job, index)
         assert np.array_equal(scene.cam_from_world[0] @ scene.world_from_obj, views[index].instances.cam_from_obj)
 
 
 def test_one_scene_of_a_seed_is_not_another_of_the_next_seed() -> None:
-    scenes = [simulate_scene(job_of(replace(SMALL, seed=seed)), index)[0] for seed in (0, 1) for index in (0, 1)]
+    scenes = [make_scene(job_of(replace(SMALL, seed=seed)), index)[0] for seed in (0, 1) for index in (0, 1)]
     assert len({scene.world_from_obj[0].tobytes() for scene in scenes}) == 4
 
 
@@ -260,7 +263,7 @@ def test_the_renderer_draws_the_scenes_own_bin() -> None:
     """Whoever renders a scene, alone or after others, finds its walls where the instances found them, or none."""
     pile = PileConfig(bin_jitter=0.3, wall_probability=0.5)
     job = job_of(replace(SMALL, pile=pile, camera=default_camera(800, 600), instances_max=2))
-    scenes = [simulate_scene(job, index)[0] for index in range(5)]
+    scenes = [make_scene(job, index)[0] for index in range(5)]
     assert len({job.scene_bin(index).walls for index in range(5)}) == 2
     one = SceneRenderer(job)
     for scene in scenes:
@@ -322,7 +325,7 @@ def test_a_camera_file_and_a_size_exclude_each_other(tmp_path: Path) -> None:
 def test_a_disk_that_takes_no_more_is_reported_in_one_sentence(tmp_path: Path) -> None:
     limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
     script = tmp_path / "script.py"
-    script.write_text(f"{limited}\nif __name__ == '__main__':\n    from simgen.cli import main\n    main()\n")
+    script.write_text(f"{limited}\nif __name__ == '__main__':\n    from simgen.commands.cli import main\n    main()\n")
     arguments = ["build", "--object", "bunny", "--preset", "debug", "--workers", "1", "-o", str(tmp_path / "out")]
     result = subprocess.run([sys.executable, str(script), *arguments], capture_output=True, text=True, check=False)
     assert result.returncode == 2

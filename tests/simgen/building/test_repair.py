@@ -17,7 +17,7 @@ from simgen.building.build import build
 from simgen.commands.cli import cli
 from simgen.config import debug
 from simgen.objects.prepare import prepare_object
-from simgen.scenes.job import plan
+from simgen.scenes.plan import plan
 
 
 def verify(*arguments: object) -> Result:

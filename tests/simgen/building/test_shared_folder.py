@@ -20,7 +20,8 @@ from simgen.building.shard_locks import shards_locked
 from simgen.commands.cli import cli
 from simgen.config import debug, parse_shards
 from simgen.objects.prepare import prepare_object
-from simgen.scenes.job import Job, plan
+from simgen.scenes.job import Job
+from simgen.scenes.plan import plan
 
 OPTIONS = ("--object", "brick", "--preset", "debug", "--views", "1", "--scenes", "5", "--workers", "1")
 

@@ -26,7 +26,6 @@ from simgen.rendering.rasterizer import Rasterizer
 
 CAMERA = Camera(96, 72, 90.0, 90.0, 47.5, 35.5)
 MODEL = ObjectModel.from_mesh("bunny", *BUILTIN_OBJECTS["bunny"].make())
-NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 UNIT = 1e-4
 SCENES, VIEWS = 2, 2
 
@@ -38,7 +37,7 @@ def views_of(scene: int) -> list[View]:
     position[4] = [3.0, 0.0, 0.4]
     world_from_obj = poses.from_rotation_translation(poses.random_rotations(rng, 5), position)
     assert MODEL.vertices is not None and MODEL.faces is not None
-    rasterizer = Rasterizer(CAMERA, MODEL.vertices, MODEL.faces, NOTHING)
+    rasterizer = Rasterizer(CAMERA, MODEL.vertices, MODEL.faces)
     views = []
     for view in range(VIEWS):
         cam_from_world = poses.from_rotation_translation(poses.from_axis_angle([0, 1, 0], 0.1 * view), [0, 0, 0.05])

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from simgen.config import BinSize, PileConfig
-from simgen.physics.bin import PACKING, bin_mesh, fill_level, fitting_bin, scene_bin, smallest_bin, wall_boxes
+from simgen.physics.bin_shape import bin_mesh, wall_boxes
+from simgen.physics.bin_size import PACKING, fill_level, fitting_bin, scene_bin, smallest_bin
 
 SIZE = BinSize(0.4, 0.3, 0.1)
 TILE = np.asarray(trimesh.creation.box([0.08, 0.05, 0.004]).vertices)

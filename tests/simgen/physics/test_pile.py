@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from simgen.config import BinSize, PhysicsConfig, PileConfig
-from simgen.physics.bin import fitting_bin
-from simgen.physics.pile import Body, Pile, World, center_of_mass, simulate_pile
+from simgen.physics.bin_size import fitting_bin
+from simgen.physics.body import Body, center_of_mass
+from simgen.physics.pile import Pile, simulate_pile
+from simgen.physics.world import World
 
 CONFIG = PhysicsConfig()
 SHAPES = {

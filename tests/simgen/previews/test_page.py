@@ -17,7 +17,7 @@ from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from simgen.config import BinSize, BuildConfig, PileConfig, default_camera
-from simgen.physics.bin import recorded_bin, scene_bin
+from simgen.physics.bin_size import recorded_bin, scene_bin
 from simgen.previews.page import preview_page
 from simgen.previews.scene_viewer import MAX_FACES, drawn_mesh, measured_points, scene_document, viewer_script
 from simgen.previews.sheet import instance_colors, spread_frames

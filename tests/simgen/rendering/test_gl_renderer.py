@@ -19,7 +19,7 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from simgen.config import BinSize
 from simgen.objects.builtin import BUILTIN_OBJECTS
-from simgen.physics.bin import bin_mesh
+from simgen.physics.bin_shape import bin_mesh
 from simgen.rendering import gl_platform
 from simgen.rendering.gl_platform import SETTLED, VARIABLE, require_gl
 from simgen.rendering.rasterizer import Rasterizer

@@ -16,7 +16,6 @@ from simgen.rendering.rasterizer import Rasterizer, Rendering
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)
 MESH = trimesh.creation.annulus(0.03, 0.06, 0.03)
 MODEL = ObjectModel.from_mesh("ring", MESH.vertices + 0.01, MESH.faces)
-NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 UNIT = 1e-4
 
 
@@ -30,7 +29,7 @@ def crowd(seed: int, count: int = 12) -> np.ndarray:
 
 def rendered(cam_from_obj: np.ndarray, camera: Camera = CAMERA) -> Rendering:
     assert MODEL.vertices is not None and MODEL.faces is not None
-    return Rasterizer(camera, MODEL.vertices, MODEL.faces, NOTHING).render(cam_from_obj, np.eye(4))
+    return Rasterizer(camera, MODEL.vertices, MODEL.faces).render(cam_from_obj, np.eye(4))
 
 
 def labelled(seed: int, drop_out: float = 0.0) -> tuple[Instances, Rendering, np.ndarray]:

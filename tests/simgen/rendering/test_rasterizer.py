@@ -12,7 +12,6 @@ from evalkit.geometry.camera import Camera
 from simgen.rendering.rasterizer import Rasterizer, Rendering, faces_outward
 
 CAMERA = Camera(160, 120, 150.0, 155.0, 78.3, 60.9)
-NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 FLOOR = (np.array([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 OVERHEAD = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.6], [0, 0, 0, 1]])
 
@@ -68,7 +67,7 @@ def away_from_edges(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def render(mesh: trimesh.Trimesh, cam_from_obj: NDArray[np.float64], camera: Camera = CAMERA) -> Rendering:
-    return Rasterizer(camera, mesh.vertices, mesh.faces, NOTHING).render(cam_from_obj, np.eye(4))
+    return Rasterizer(camera, mesh.vertices, mesh.faces).render(cam_from_obj, np.eye(4))
 
 
 @pytest.mark.parametrize("closed", [True, False])
@@ -196,7 +195,7 @@ def test_back_faces_are_skipped_only_where_nobody_can_see_them(spoil, outward) -
     assert faces_outward(mesh.vertices, faces) == outward
     pose = random_poses(np.random.default_rng(2), 1)
     expected = plain_depth(triangles_in_camera(trimesh.Trimesh(mesh.vertices, faces, process=False), pose)[0], CAMERA)
-    seen = Rasterizer(CAMERA, mesh.vertices, faces, NOTHING).render(pose, np.eye(4))
+    seen = Rasterizer(CAMERA, mesh.vertices, faces).render(pose, np.eye(4))
     assert (~np.isclose(seen.depth, expected, atol=1e-5)).mean() < 1e-3
 
 

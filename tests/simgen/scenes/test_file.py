@@ -22,13 +22,14 @@ from evalkit.datasets.shard_folder import ShardDataset, shard_name
 from evalkit.datasets.shard_format import seal
 from evalkit.errors import InputError
 from evalkit.geometry import poses
-from simgen.building.simulate import simulate
+from simgen.building.scenes_file import simulate
 from simgen.commands.cli import cli
 from simgen.config import debug
 from simgen.objects.prepare import prepare_object
 from simgen.scenes.file import SCHEMA, job_of_scenes, read_scenes, write_scenes
-from simgen.scenes.job import Job, plan
+from simgen.scenes.job import Job
 from simgen.scenes.journal import SUFFIX, SimulatedScenes, scene_journal
+from simgen.scenes.plan import plan
 
 OPTIONS = ("--object", "brick", "--preset", "debug", "--scenes", "3", "--views", "2", "--workers", "1")
 
@@ -123,17 +124,17 @@ def test_poses_come_back_to_the_last_bit(tmp_path: Path) -> None:
     every = poses.from_rotation_translation(turns, rng.normal(0, 1, (len(turns), 3)))
     given = [every[:1], every[1:20], every[20:]]
     job = brick_job()
-    write_scenes(tmp_path / "s.h5", job.header(), given, [1, 2, 3])
+    write_scenes(tmp_path / "s.h5", job.header, given, [1, 2, 3])
     header, back = read_scenes(tmp_path / "s.h5")
     assert [scene.tobytes() for scene in back.world_from_obj] == [scene.tobytes() for scene in given]
-    assert (back.attempts, header.config) == ([1, 2, 3], job.header().config)
+    assert (back.attempts, header.config) == ([1, 2, 3], job.header.config)
 
 
 def test_two_thousand_scenes_take_two_megabytes(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     turns, places = poses.random_rotations(rng, 30_000), rng.uniform(-0.3, 0.3, (30_000, 3))
     every = poses.from_rotation_translation(turns, places)
-    write_scenes(tmp_path / "s.h5", brick_job().header(), np.split(every, 2000), [1] * 2000)
+    write_scenes(tmp_path / "s.h5", brick_job().header, np.split(every, 2000), [1] * 2000)
     assert (tmp_path / "s.h5").stat().st_size < 2.1e6
 
 

@@ -20,7 +20,8 @@ from simgen.building.build import build
 from simgen.commands.cli import cli
 from simgen.config import debug
 from simgen.objects.prepare import prepare_object
-from simgen.scenes.job import Job, plan
+from simgen.scenes.job import Job
+from simgen.scenes.plan import plan
 from simgen.workers.dask import dask_cluster, worker_state
 
 distributed = pytest.importorskip("distributed")

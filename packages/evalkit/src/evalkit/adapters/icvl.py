@@ -58,7 +58,7 @@ def read_ground_truth(
 
     Args:
         object_name: as the files name it; may be left out where there is one object only.
-        mesh, units, symmetry: see :func:`evalkit.mesh_files.load_object`.
+        mesh, units, symmetry: see :func:`evalkit.meshes.load.load_object`.
         visibility: see :mod:`evalkit.adapters.visibility`.
         camera: our JSON, in place of the dataset's 640 x 480, fx 550, fy 540, cx 316, cy 244.
 

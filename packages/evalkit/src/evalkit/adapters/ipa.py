@@ -57,7 +57,7 @@ def read_ground_truth(
     """All images of an object's folder (with parameter.json and gt/), or of one folder within its gt/.
 
     Args:
-        mesh, units, symmetry: see :func:`evalkit.mesh_files.load_object`.
+        mesh, units, symmetry: see :func:`evalkit.meshes.load.load_object`.
         camera: our JSON, in place of parameter.json.
 
     Raises:

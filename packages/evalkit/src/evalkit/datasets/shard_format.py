@@ -6,8 +6,8 @@ Per frame (F = scenes x views)::
     depth_ideal (F,H,W uint16), where it was kept: depth without the sensor's errors
     frame_offset (F+1)    rows of frame f in the per-instance arrays: frame_offset[f] .. frame_offset[f+1]
 
-Per instance of each frame: the fields of :class:`evalkit.scene.Instances`. The mesh lies in ``object/vertices`` and
-``object/faces``. Attributes: schema, camera, depth_unit, object, config, software (JSON), seed.
+Per instance of each frame: the fields of :class:`evalkit.datasets.scene.Instances`. The mesh lies in
+``object/vertices`` and ``object/faces``. Attributes: schema, camera, depth_unit, object, config, software (JSON), seed.
 
 Integrity: every chunk carries a Fletcher-32 sum, and the file's first 512 bytes (HDF5's user block, which its readers
 skip) hold the SHA-256 of all bytes after them. ``dataset.json`` beside the shards names the config, the object and the

@@ -75,7 +75,7 @@ def save_picture(
     """Draw `count` images (or those named) with outlines over their depth, and the precision-recall curve.
 
     Args:
-        rules: as :func:`evalkit.evaluation.average_precision` takes them.
+        rules: as :func:`evalkit.scoring.evaluation.average_precision` takes them.
 
     Raises:
         InputError: the documents do not belong together, or the shards lack an image.

@@ -49,7 +49,7 @@ def load_object(path: Path, units: str | None, symmetry: str | None = None, name
 
     Args:
         units: m, cm, mm or inch: the file's unit.
-        symmetry: as :func:`evalkit.symmetry_detection.resolve_symmetry` takes it; None detects it.
+        symmetry: as :func:`evalkit.objects.symmetry_detection.resolve_symmetry` takes it; None detects it.
         name: None takes the file's.
 
     Raises:

@@ -83,6 +83,17 @@ class ObjectModel:
         """The name to show a reader."""
         return self.name or "the object"
 
+    @property
+    def mesh(self) -> tuple[Array, NDArray[np.int32]]:
+        """Vertices (V, 3) and faces (F, 3).
+
+        Raises:
+            InputError: the mesh is not at hand.
+        """
+        if self.vertices is None or self.faces is None:
+            raise InputError(f"object '{self.title}' has no mesh; give a file that holds it, or its mesh.")
+        return self.vertices, self.faces
+
     @cached_property
     def lam_in_obj(self) -> Array:
         """Lambda (3, 3) with its axes in the object's frame, as the geometrically right Sym distance wants it."""

@@ -3,7 +3,7 @@
 Axes are sought where the moments allow them: a turn of order 3 or more needs two equal moments, so with three
 different ones only half turns about the principal axes are possible; with two equal ones every fold about the third
 axis and half turns across it; with three equal ones every direction is tried. Each hypothesis is refined and then
-verified on a dense sample of the surface (:mod:`evalkit.symmetry_fit`).
+verified on a dense sample of the surface (:mod:`evalkit.objects.symmetry_fit`).
 """
 
 from __future__ import annotations

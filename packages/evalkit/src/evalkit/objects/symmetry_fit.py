@@ -1,6 +1,6 @@
 """How well a surface keeps to a symmetry group, and where the group fits best: verify, refine, scan.
 
-Points are in units of the surface's bounding radius about its centroid (:class:`evalkit.surface.Surface`).
+Points are in units of the surface's bounding radius about its centroid (:class:`evalkit.objects.surface.Surface`).
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def save_report(
     Args:
         shards: where the depth images are, to draw `count` of them with outlines; None draws none.
         inputs: names and SHA-256 of the files that the documents were read from.
-        rules: as :func:`evalkit.evaluation.average_precision` takes them.
+        rules: as :func:`evalkit.scoring.evaluation.average_precision` takes them.
 
     Raises:
         InputError: a document or a setting cannot be used, or the shards have none of the images.

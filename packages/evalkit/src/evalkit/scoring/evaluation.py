@@ -38,7 +38,7 @@ class ImageOutcome:
     """What became of one image's hypotheses and instances, in the documents' order.
 
     Attributes:
-        outcome: (h,) of each hypothesis: TRUE, IGNORED, DUPLICATE or FALSE of :mod:`evalkit.matching`; -1 where
+        outcome: (h,) of each hypothesis: TRUE, IGNORED, DUPLICATE or FALSE of :mod:`evalkit.scoring.matching`; -1 where
             max_results left it out.
         missed: (n,) whether the instance was to be found and was not.
         ignored: (n,) whether the instance is too hidden to be asked for.

@@ -12,7 +12,8 @@ from evalkit.errors import InputError
 from simgen.building.build import BuildReport, build
 from simgen.config_json import config_from_json
 from simgen.objects.convex import convex_parts
-from simgen.scenes.job import Job, software_here
+from simgen.scenes.job import Job
+from simgen.scenes.software import software_here
 
 AGAIN = "run the command again that it was built with, which rebuilds what is damaged or missing"
 
@@ -55,8 +56,8 @@ def job_of_dataset(folder: Path) -> tuple[Job, ShardHeader]:
             continue
         tried = True
         parts, _ = convex_parts(vertices, faces.astype("int64"))
-        job = Job(config, config.bin, header.object, parts, header.depth_unit)
-        if job.header().config == document["config"]:
+        job = Job(config, header.object, parts, header.depth_unit)
+        if job.header.config == document["config"]:
             return job, header
     raise InputError(
         f"{folder}: its object's convex parts come out differently here than where it was built; {AGAIN}."

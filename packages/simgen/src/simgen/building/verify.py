@@ -1,4 +1,4 @@
-"""Whether shards are what they claim: intact bytes, and labels that obey the laws of :mod:`evalkit.scene`."""
+"""Whether shards are what they claim: intact bytes, and labels that obey the laws of :mod:`evalkit.datasets.scene`."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def simulate_command(
     `simgen render` makes of it what `simgen build` with the same options writes, on any machine, PyBullet or not.
     Run the same command again to go on with a file that was interrupted.
     """
-    from simgen.building.simulate import simulate
+    from simgen.building.scenes_file import simulate
 
     job = _planned(configured(PRESETS[preset](), **options), chosen)
     start = time.monotonic()
@@ -118,7 +118,7 @@ def render_command(
 
 def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
     from simgen.scenes.file import job_of_scenes
-    from simgen.scenes.job import plan
+    from simgen.scenes.plan import plan
 
     job = job_of_scenes(path)
     job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded)
@@ -144,7 +144,7 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
 def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
     """The job of an object and a config, told to the user."""
     from simgen.objects.prepare import prepare_object
-    from simgen.scenes.job import plan
+    from simgen.scenes.plan import plan
 
     prepared = prepare_object(**asdict(chosen))
     for warning in prepared.warnings:
@@ -161,7 +161,7 @@ def _require_renderer(config: BuildConfig) -> None:
 
 
 def _tell(job: Job) -> None:
-    from simgen.scenes.job import camera_distances
+    from simgen.scenes.plan import camera_distances
 
     click.echo(job.config.describe())
     click.echo(f"Depth unit: {job.depth_unit:g} m.")

@@ -32,7 +32,7 @@ def _group(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
 
 @dataclass(frozen=True)
 class ObjectChoice:
-    """Which object, and how its file is to be read: the arguments of :func:`simgen.meshes.prepare_object`."""
+    """Which object, and how its file is to be read: the arguments of :func:`simgen.objects.prepare.prepare_object`."""
 
     source: str
     units: str

@@ -20,7 +20,6 @@ from evalkit.errors import InputError
 from simgen.exports.staged_folder import staged_folder
 
 OnFrames = Callable[[int], object]
-EMPTY = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 
 def open_whole(shards: Path) -> ShardDataset:
@@ -94,7 +93,7 @@ class _Silhouettes:
         model = dataset.header.object
         if model.vertices is None or model.faces is None:
             raise InputError(f"object '{model.title}' has no mesh in the shards; build them again with this simgen.")
-        self._rasterizer = Rasterizer(dataset.header.camera, model.vertices, model.faces, EMPTY)
+        self._rasterizer = Rasterizer(dataset.header.camera, model.vertices, model.faces)
 
     def __call__(self, view: View) -> Iterator[NDArray[np.bool_]]:
         """The silhouettes (height, width) within the frame, in the labels' order."""

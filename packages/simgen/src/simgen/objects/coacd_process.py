@@ -1,7 +1,7 @@
 """CoACD in a process of its own: it prints from C++, cannot be interrupted, and may crash on a bad mesh.
 
-``python -m simgen.coacd_process MESH.npz PARTS.npz OPTIONS_JSON`` reads vertices (V, 3) and faces (F, 3), and writes
-vertices_0, faces_0, vertices_1, … of the convex parts. It imports nothing that would keep the caller waiting.
+``python -m simgen.objects.coacd_process MESH.npz PARTS.npz OPTIONS_JSON`` reads vertices (V, 3) and faces (F, 3), and
+writes vertices_0, faces_0, vertices_1, … of the convex parts. It imports nothing that would keep the caller waiting.
 """
 
 from __future__ import annotations

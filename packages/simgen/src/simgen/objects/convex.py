@@ -93,7 +93,7 @@ def _simplified(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> trim
 
 
 def _run_coacd(mesh: trimesh.Trimesh) -> list[Part]:
-    """The parts of a mesh of unit size; see :mod:`simgen.coacd_process`."""
+    """The parts of a mesh of unit size; see :mod:`simgen.objects.coacd_process`."""
     preprocess = "off" if mesh.is_watertight else "auto"  # remeshing a sound mesh costs a minute and rounds it
     options = json.dumps({**COACD_OPTIONS, "preprocess_mode": preprocess})
     with tempfile.TemporaryDirectory(prefix="binpose-convex-") as folder:

@@ -24,7 +24,6 @@ VIEWS = {
     "aslant": (1, -1.4, 0.9),
 }
 Picture = NDArray[np.float64]  # RGB (SIDE, SIDE, 3) in 0…1
-NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 
 def object_sheet(prepared: PreparedObject) -> Figure:
@@ -68,7 +67,7 @@ def _draw_surface(camera: Camera, prepared: PreparedObject, cam_from_obj: NDArra
 
 
 def _depth(camera: Camera, mesh: Part, cam_from_obj: NDArray[np.float64]) -> NDArray[np.float32]:
-    return Rasterizer(camera, *mesh, NOTHING).render(cam_from_obj[None], np.eye(4)).depth
+    return Rasterizer(camera, *mesh).render(cam_from_obj[None], np.eye(4)).depth
 
 
 def _draw_parts(camera: Camera, parts: list[Part], cam_from_obj: NDArray[np.float64]) -> Picture:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.drawing.page import render_page
-from simgen.physics.bin import recorded_bin
+from simgen.physics.bin_size import recorded_bin
 from simgen.previews.scene_viewer import scene_json, viewer_script
 from simgen.previews.sheet import contact_sheet, spread_frames
 from simgen.previews.survey import CLEAR, Survey, survey

@@ -18,7 +18,7 @@ from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
-from simgen.physics.bin import recorded_bin
+from simgen.physics.bin_size import recorded_bin
 from simgen.previews.scene_viewer import drawn_mesh
 from simgen.previews.sheet import instance_colors
 

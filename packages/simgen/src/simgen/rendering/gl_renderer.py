@@ -27,21 +27,27 @@ MOST_RANGE = 200.0  # far over near plane at most, or 24 bits of depth could not
 
 
 class GlRenderer:
-    """Renders instances of one mesh before a static background, as :class:`simgen.rasterizer.Rasterizer` does.
+    """Renders instances of one mesh before a static background, as :class:`Rasterizer` does.
 
     Raises:
         InputError: pyrender or OpenGL is missing.
     """
 
     def __init__(
-        self, camera: Camera, vertices: Array, faces: NDArray[np.int32], background: tuple[Array, NDArray[np.int32]]
+        self,
+        camera: Camera,
+        vertices: Array,
+        faces: NDArray[np.int32],
+        background: tuple[Array, NDArray[np.int32]] | None = None,
     ) -> None:
         require_gl()
         self._camera = camera
         self._depth_of = _DepthBuffer(camera.width, camera.height)
         self._vertices, self._mesh = vertices, _mesh_of(vertices, faces)
         self._near = NEAR_PER_EXTENT * float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
-        self.set_background(*background)
+        self._background: Any = None
+        if background is not None:
+            self.set_background(*background)
 
     def set_background(self, vertices: Array, faces: NDArray[np.int32]) -> None:
         """Put another background, vertices (B, 3) in metres, world frame, behind all instances from now on."""
@@ -50,8 +56,10 @@ class GlRenderer:
     def render(self, cam_from_obj: Array, cam_from_world: Array) -> Rendering:
         """One frame: poses of the instances (n, 4, 4) and of the world (4, 4)."""
         camera, count = self._camera, len(cam_from_obj)
-        behind = poses.apply(cam_from_world, self._background_vertices)
-        depth = self._depth_of.mesh(self._background, cam_from_world, camera, _range(behind, self._near))
+        depth = np.zeros((camera.height, camera.width), np.float32)
+        if self._background is not None:
+            behind = poses.apply(cam_from_world, self._background_vertices)
+            depth = self._depth_of.mesh(self._background, cam_from_world, camera, _range(behind, self._near))
         ids = np.zeros(depth.shape, np.uint16)
         pixels_full, box_full = np.zeros(count, np.int32), np.zeros((count, 4), np.int32)
         for row, pose in enumerate(cam_from_obj):

@@ -26,6 +26,7 @@ GUARD = float(1 << 17)  # pixels; triangles are clipped there, so that snapped c
 WIDE = 16  # pixels; in triangles at least as wide, each row's ends are solved for instead of searched
 BEYOND_FRAME = 1  # what is larger than the frame is counted this many frames beyond each border
 NEAR_PER_EXTENT = 1e-3  # near plane, as a share of the mesh's extent
+NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))  # a mesh without faces
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
@@ -52,7 +53,7 @@ class Rasterizer:
     Args:
         camera: the intrinsics.
         vertices, faces: (V, 3) in metres, object frame, and (F, 3).
-        background: vertices (B, 3) in metres, world frame, and faces (G, 3); drawn with id 0.
+        background: vertices (B, 3) in metres, world frame, and faces (G, 3), drawn with id 0; nothing if left out.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class Rasterizer:
         camera: Camera,
         vertices: NDArray[np.float64],
         faces: NDArray[np.int32],
-        background: tuple[NDArray[np.float64], NDArray[np.int32]],
+        background: tuple[NDArray[np.float64], NDArray[np.int32]] = NOTHING,
     ) -> None:
         self._camera = camera
         self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])

@@ -1,6 +1,6 @@
 """Simulated scenes as one small file, that whoever renders them needs. Schema ``binpose-scenes/1``.
 
-HDF5, with the attributes and the mesh of a shard (:mod:`evalkit.shards`), and per scene (S)::
+HDF5, with the attributes and the mesh of a shard (:mod:`evalkit.datasets.shard_format`), and per scene (S)::
 
     instances (S)  attempts (S): drops that it took
 
@@ -40,6 +40,7 @@ from evalkit.geometry import poses
 from simgen.config_json import config_from_json
 from simgen.scenes.job import Job
 from simgen.scenes.recorded import RecordedScenes
+from simgen.scenes.software import only_physics
 
 SCHEMA = "binpose-scenes/1"
 GEOMETRY = "geometry_sha256"
@@ -106,7 +107,7 @@ def job_of_scenes(path: Path) -> Job:
         raise InputError(f"{path}: lacks the bin or the mesh; {AGAIN}.")
     if config.scenes != len(recorded.world_from_obj):
         raise InputError(f"{path}: holds {len(recorded.world_from_obj)} of {config.scenes} scenes; {AGAIN}.")
-    return Job(config, config.bin, header.object, [], header.depth_unit, recorded)
+    return Job(config, header.object, [], header.depth_unit, recorded)
 
 
 def _read_poses(file: Any, header: ShardHeader) -> RecordedScenes:
@@ -127,7 +128,7 @@ def _read_poses(file: Any, header: ShardHeader) -> RecordedScenes:
         world_from_obj=np.split(world_from_obj, np.cumsum(instances)[:-1]),
         attempts=attempts.tolist(),
         origin={GEOMETRY: header.config[GEOMETRY]},
-        software=header.software,
+        software=only_physics(header.software),
     )
 
 

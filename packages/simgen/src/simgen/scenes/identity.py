@@ -1,20 +1,32 @@
-"""What tells datasets apart, and in which entry two differ."""
+"""What tells datasets apart, and in which entry two of them differ."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from typing import Any
 
-from simgen.scenes.job import Job
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.datasets.shard_format import ShardHeader
 
 
-def own_identity(job: Job) -> dict[str, Any]:
-    """What all files of a job's dataset have in common."""
-    header = job.header()
+def fingerprint(geometry: Iterable[Iterable[NDArray[Any]]]) -> str:
+    """SHA-256 of the arrays: the mesh that is drawn, then the hulls that fall, or the poses where none do."""
+    digest = hashlib.sha256()
+    for array in (array for part in geometry for array in part):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def identity_of(header: ShardHeader) -> dict[str, Any]:
+    """What all files of the header's dataset have in common."""
     return identity(header.config, header.object.to_json())
 
 
 def identity(config: Any, model: Any) -> dict[str, Any]:
-    """What tells datasets apart, from the JSON forms of config and object."""
+    """The same, from the JSON forms of config and object."""
     known = model if isinstance(model, dict) else {}
     return {"config": config, "object": {key: known.get(key) for key in ("name", "diameter", "symmetry")}}
 

@@ -17,8 +17,10 @@ from evalkit.geometry.camera import Camera
 from evalkit.meshes.load import READERS, read_mesh
 from evalkit.objects.model import ObjectModel
 from simgen.config import BinSize, BuildConfig
-from simgen.physics.bin import ground_half_side
-from simgen.scenes.job import Job, depth_unit_for, fingerprint
+from simgen.physics.bin_shape import ground_half_side
+from simgen.scenes.identity import fingerprint
+from simgen.scenes.job import Job
+from simgen.scenes.plan import depth_unit_for
 from simgen.scenes.recorded import RecordedScenes
 
 Array = NDArray[np.float64]
@@ -47,7 +49,7 @@ def job_of_layouts(folder: Path) -> Job:
     counts = [len(scene) for scene in world_from_obj]
     size = _ground(model, world_from_obj)
     config = BuildConfig(len(counts), 1, max(1, min(counts)), max(1, *counts), camera, bin=size)
-    geometry: list[tuple[NDArray[Any], ...]] = [_mesh(model), *((scene, cam_from_world) for scene in world_from_obj)]
+    geometry: list[tuple[NDArray[Any], ...]] = [model.mesh, *((scene, cam_from_world) for scene in world_from_obj)]
     recorded = RecordedScenes(
         first=0,
         world_from_obj=world_from_obj,
@@ -60,7 +62,7 @@ def job_of_layouts(folder: Path) -> Job:
         cam_from_world=[cam_from_world[None]] * len(counts),
     )
     unit = depth_unit_for(_farthest(camera, cam_from_world, world_from_obj, model, size), model.diameter)
-    return Job(config, size, model, [], unit, recorded)
+    return Job(config, model, [], unit, recorded)
 
 
 def with_options(job: Job, config: BuildConfig) -> Job:
@@ -106,11 +108,6 @@ def _with_mesh(model: ObjectModel, folder: Path) -> ObjectModel:
     raise InputError(f"{folder}: holds no mesh of the object; put it there as mesh.obj, in metres.")
 
 
-def _mesh(model: ObjectModel) -> tuple[Array, NDArray[np.int32]]:
-    assert model.vertices is not None and model.faces is not None
-    return model.vertices, model.faces
-
-
 def _rigid(transform: Array) -> Array:
     """Transforms (..., 4, 4) with the rotation nearest to theirs: published numbers are rounded."""
     return poses.from_rotation_translation(poses.nearest_rotation(transform[..., :3, :3]), transform[..., :3, 3])
@@ -120,7 +117,7 @@ def _on_the_ground(
     model: ObjectModel, world_from_obj: Sequence[Array], cam_from_world: Array
 ) -> tuple[list[Array], Array]:
     """The same scenes in a world whose ground z = 0 is below all instances."""
-    vertices, _ = _mesh(model)
+    vertices, _ = model.mesh
     lowest = min(float(poses.apply(scene, vertices[None])[..., 2].min(initial=0.0)) for scene in world_from_obj)
     lift = poses.from_rotation_translation(np.eye(3), [0.0, 0.0, max(0.0, -lowest)])
     return [lift @ scene for scene in world_from_obj], cam_from_world @ poses.invert(lift)

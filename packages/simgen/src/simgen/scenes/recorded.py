@@ -21,7 +21,7 @@ class RecordedScenes:
         world_from_obj: (n_s, 4, 4) of each scene, metres.
         attempts: drops that each scene took.
         origin: entries of the header's config beside those of :class:`simgen.config.BuildConfig`.
-        software: versions of what made the poses.
+        software: versions of the physics that made the poses.
         cam_from_world: (views, 4, 4) of each scene; None where the config's viewpoints are drawn.
     """
 
@@ -31,6 +31,12 @@ class RecordedScenes:
     origin: dict[str, Any]
     software: dict[str, str]
     cam_from_world: Sequence[Array] | None = None
+
+    def scene(self, index: int) -> tuple[Array, int, Array | None]:
+        """Scene number `index`: its world_from_obj, the drops that it took, and its cameras where they are recorded."""
+        row = index - self.first
+        cameras = None if self.cam_from_world is None else self.cam_from_world[row]
+        return self.world_from_obj[row], self.attempts[row], cameras
 
     def only(self, numbers: range) -> RecordedScenes:
         """Those of the scenes `numbers`, which is as little as a worker needs to be sent."""

@@ -12,7 +12,7 @@ A pixel with a return is visible, be the return right or wrong: labels tell whic
 the sensor moves an instance.
 
 What is not modelled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
-Sources of the parameters are in :mod:`simgen.sensor_config`.
+Sources of the parameters are in :mod:`simgen.sensors.config`.
 """
 
 from __future__ import annotations

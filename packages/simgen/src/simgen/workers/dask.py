@@ -14,7 +14,7 @@ from typing import Any
 
 from evalkit.datasets.shard_folder import DATASET_FILE
 from evalkit.errors import InputError
-from simgen.scenes.job import software_here
+from simgen.scenes.software import software_here
 from simgen.workers.progress import SceneProgress
 from simgen.workers.tasks import Pool
 
@@ -23,7 +23,7 @@ CONNECT_SECONDS = 20
 
 @contextlib.contextmanager
 def dask_cluster(address: str, folder: Path) -> Iterator[Pool]:
-    """Pools of the cluster whose scheduler is at `address`, for :func:`simgen.tasks.run_tasks`.
+    """Pools of the cluster whose scheduler is at `address`, for :func:`simgen.workers.tasks.run_tasks`.
 
     Raises:
         InputError: Dask is not installed, nobody answers, or the workers do not suit.

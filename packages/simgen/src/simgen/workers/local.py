@@ -23,7 +23,7 @@ _counters: Any = None  # this worker's share of the pool's scenes done and redon
 
 
 def processes_here(workers: int) -> Pool:
-    """Pools of at most `workers` processes on this machine, for :func:`simgen.tasks.run_tasks`."""
+    """Pools of at most `workers` processes on this machine, for :func:`simgen.workers.tasks.run_tasks`."""
 
     def pool(tasks: int, progress: SceneProgress) -> AbstractContextManager[Executor]:
         return local_pool(min(workers, tasks), progress)

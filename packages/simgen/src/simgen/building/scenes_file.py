@@ -8,9 +8,10 @@ from pathlib import Path
 
 from evalkit.errors import InputError
 from simgen.scenes.file import read_scenes, write_scenes
-from simgen.scenes.identity import first_difference, identity, own_identity
-from simgen.scenes.job import Job, simulate_scene
+from simgen.scenes.identity import first_difference, identity_of
+from simgen.scenes.job import Job
 from simgen.scenes.journal import SUFFIX, SceneJournal, SimulatedScenes, scene_journal
+from simgen.scenes.simulate import simulate_poses
 from simgen.workers.local import count_scene, processes_here
 from simgen.workers.progress import SceneProgress
 from simgen.workers.tasks import run_tasks
@@ -36,14 +37,14 @@ def simulate(job: Job, path: Path, workers: int) -> SimulationReport:
     if path.exists():
         _require_same(job, path)
         return SimulationReport(kept=job.config.scenes)
-    with scene_journal(path, own_identity(job)) as journal:
+    with scene_journal(path, job.identity) as journal:
         report = SimulationReport(kept=sum(done.scenes for done in journal.finished.values()))
         missing = sorted(set(range(job.config.shards)) - set(journal.finished))
         if missing:
             _simulate(job, missing, workers, journal, report)
         done = [journal.finished[task] for task in range(job.config.shards)]
         scenes = [scene for part in done for scene in part.world_from_obj]
-        write_scenes(path, job.header(), scenes, [count for part in done for count in part.attempts])
+        write_scenes(path, job.header, scenes, [count for part in done for count in part.attempts])
         path.with_name(path.name + SUFFIX).unlink()
     return report
 
@@ -52,8 +53,8 @@ def simulate_scenes(job: Job, task: int) -> SimulatedScenes:
     """The scenes of a shard; the unit of work that a worker gets."""
     done = SimulatedScenes(task, [], [])
     for number in job.config.scenes_of_shard(task):
-        scene, attempts = simulate_scene(job, number)
-        done.world_from_obj.append(scene.world_from_obj)
+        world_from_obj, attempts = simulate_poses(job, number)
+        done.world_from_obj.append(world_from_obj)
         done.attempts.append(attempts)
         count_scene(attempts - 1)
     return done
@@ -74,6 +75,6 @@ def _simulate(job: Job, tasks: list[int], workers: int, journal: SceneJournal, r
 
 def _require_same(job: Job, path: Path) -> None:
     header, _ = read_scenes(path)
-    difference = first_difference(identity(header.config, header.object.to_json()), own_identity(job))
+    difference = first_difference(identity_of(header), job.identity)
     if difference is not None:
         raise InputError(f"{path}: holds other scenes ({difference}); choose another file with -o.")

@@ -1,7 +1,4 @@
-"""The open bin that instances fall into: its size, and its shape as boxes for physics and renderer alike.
-
-World frame: origin in the middle of the bin's floor, z up.
-"""
+"""How large the open bin is that instances fall into: the dataset's, and each scene's."""
 
 from __future__ import annotations
 
@@ -10,17 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from evalkit.errors import InputError
+from evalkit.objects.model import ObjectModel
 from simgen.config import BinSize, PileConfig
 
-Array = NDArray[np.float64]
 BIN_STAGE = 4  # second word of the spawn key; drops and viewpoints use others
 PACKING = 0.6  # share of the bin's volume that convex hulls fill at most: round things would roll off a higher pile
+MAX_FILL = 1.5  # of the bin's volume by convex hulls: heaps rise above the walls, but no higher
 MIN_SIDE = 1.5  # in object diameters
-WALL_THICKNESS = 0.03  # of the longer side
-GROUND = 4.0  # half-side of the ground around the bin, in longer sides
 DEFAULT_PILE = PileConfig()
 
 
@@ -66,43 +63,25 @@ def fill_level(vertices: ArrayLike, size: BinSize, instances: int) -> float:
     return float(instances * _hull(vertices).volume / (size.width * size.depth * size.height))
 
 
+def require_room(pile: PileConfig, size: BinSize, model: ObjectModel, instances: int) -> None:
+    """Refuse a bin too small for the object, or for `instances` of it, in any scene.
+
+    Raises:
+        InputError: the sentence names the option.
+    """
+    smallest = smallest_bin(pile, size)
+    jitter = "" if smallest == size else f" less --bin-jitter {pile.bin_jitter:g}"
+    if min(smallest.width, smallest.depth) < model.diameter:
+        raise InputError(
+            f"--bin {size}{jitter}: the object '{model.title}' is {model.diameter:g} m across; "
+            "give a bin whose width and depth are larger, in metres, or --bin auto."
+        )
+    if fill_level(model.mesh[0], smallest, instances) > MAX_FILL:
+        raise InputError(
+            f"--bin {size}{jitter}: {instances} instances of '{model.title}' do not fit into it; "
+            "give a larger --bin in metres or fewer --instances."
+        )
+
+
 def _hull(vertices: ArrayLike) -> ConvexHull:
     return ConvexHull(vertices, qhull_options="QJ")  # joggled, for flat objects have hulls as well
-
-
-def wall_boxes(size: BinSize, thickness: float) -> Array:
-    """The walls as axis-aligned boxes (4 or 0, 2, 3): smallest and largest corner, in metres."""
-    if not size.walls:
-        return np.zeros((0, 2, 3))
-    x, y, z, t = size.width / 2, size.depth / 2, size.height, thickness
-    return np.array(
-        [
-            [[x, -y - t, 0], [x + t, y + t, z]],
-            [[-x - t, -y - t, 0], [-x, y + t, z]],
-            [[-x, y, 0], [x, y + t, z]],
-            [[-x, -y - t, 0], [x, -y, z]],
-        ]
-    )
-
-
-def ground_half_side(size: BinSize) -> float:
-    """Metres from the bin's middle to the edge of the ground it stands on."""
-    return GROUND * max(size.width, size.depth)
-
-
-def bin_mesh(size: BinSize) -> tuple[Array, NDArray[np.int32]]:
-    """Walls and ground as triangles: vertices (V, 3) in the world frame and faces (F, 3)."""
-    boxes = wall_boxes(size, WALL_THICKNESS * max(size.width, size.depth))
-    corner = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
-    vertices = [np.take_along_axis(box, corner, axis=0) for box in boxes]
-    faces = [_BOX_FACES + 8 * index for index in range(len(boxes))]
-    half = ground_half_side(size)
-    vertices.append(np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]]))
-    faces.append(np.array([[0, 1, 2], [0, 2, 3]]) + 8 * len(boxes))
-    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
-
-
-_BOX_FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-)  # fmt: skip

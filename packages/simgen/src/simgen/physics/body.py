@@ -1,0 +1,55 @@
+"""The object as physics wants it: convex hulls about its center of mass, scaled to a size that the engine likes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Part = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The object as physics wants it: hulls about its centre of mass, scaled.
+
+    Attributes:
+        hulls: (V_i, 3) vertices of each convex part, in simulated metres about the centre of mass.
+        center_of_mass: (3,) in the object's frame, metres.
+        radius: of the sphere around the centre of mass that holds all hulls, simulated metres.
+        scale: simulated metres per metre.
+    """
+
+    hulls: list[Array]
+    center_of_mass: Array
+    radius: float
+    scale: float
+
+    @classmethod
+    def from_parts(cls, parts: list[Part], simulated_diameter: float) -> Body:
+        """From convex parts (vertices (V, 3), faces (F, 3)) in metres, object frame."""
+        center = center_of_mass(parts)
+        radius = max(float(np.linalg.norm(vertices - center, axis=1).max()) for vertices, _ in parts)
+        scale = simulated_diameter / (2 * radius)
+        hulls = [(np.asarray(vertices, float) - center) * scale for vertices, _ in parts]
+        return cls(hulls, center, radius * scale, scale)
+
+
+def center_of_mass(parts: list[Part]) -> Array:
+    """Volume-weighted centroid (3,) of convex parts; of their surfaces' vertices where they are flat."""
+    volumes, centroids = zip(*(_volume_and_centroid(*part) for part in parts), strict=True)
+    if sum(volumes) <= 0:
+        return np.asarray(np.concatenate([vertices for vertices, _ in parts]).mean(0))
+    return np.average(np.array(centroids), axis=0, weights=np.array(volumes))
+
+
+def _volume_and_centroid(vertices: Array, faces: NDArray[np.int32]) -> tuple[float, Array]:
+    middle = vertices.mean(0)
+    corners = vertices[faces] - middle
+    volumes = np.abs(np.linalg.det(corners)) / 6  # the middle is inside: the part is convex
+    total = float(volumes.sum())
+    if total <= 0:
+        return 0.0, middle
+    return total, middle + np.einsum("f,fki->i", volumes, corners) / (4 * total)
