@@ -204,8 +204,8 @@ def test_the_files_origin_changes_neither_the_pictures_nor_how_they_are_drawn(of
     mesh = trimesh.creation.torus(0.06, 0.025, major_sections=24, minor_sections=12)
     pose = random_poses(np.random.default_rng(7), 12)
     new_from_old = poses.from_rotation_translation(np.eye(3), -np.array(offset))
-    here = Rasterizer(CAMERA, mesh.vertices, mesh.faces, NOTHING)
-    there = Rasterizer(CAMERA, mesh.vertices + offset, mesh.faces, NOTHING)
+    here = Rasterizer(CAMERA, mesh.vertices, mesh.faces)
+    there = Rasterizer(CAMERA, mesh.vertices + offset, mesh.faces)
     clipped = [
         [renderer._needs_clipping(one) for one in at] for renderer, at in ((here, pose), (there, pose @ new_from_old))
     ]

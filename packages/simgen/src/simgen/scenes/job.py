@@ -24,7 +24,7 @@ Part = tuple[NDArray[np.float64], NDArray[np.int32]]
 class Job:
     """All that the bytes of a dataset depend on. Make it with :func:`simgen.scenes.plan.plan`.
 
-    Header and identity are computed once, at their first use, and travel with the job to its workers.
+    Header and identity are computed at their first use, and travel with the job to its workers.
 
     Attributes:
         config: complete, its bin chosen.
@@ -74,6 +74,4 @@ class Job:
         """As much of the job as the shard needs."""
         if self.recorded is None:
             return self
-        job = replace(self, recorded=self.recorded.only(self.config.scenes_of_shard(shard)))
-        job.__dict__.update(header=self.header, identity=self.identity)
-        return job
+        return replace(self, recorded=self.recorded.only(self.config.scenes_of_shard(shard)))
