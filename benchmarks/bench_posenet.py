@@ -132,7 +132,7 @@ def bench_prediction(network: PoseNetwork, frames: Frames, steps: int, refined: 
     for step in range(steps + WARM_UP):
         view = frames.dataset[step % len(frames.dataset)]
         batch = frames.batch(np.array([step % len(frames.dataset)]))
-        _timed(rows, "trunk", network._features, batch.depth, batch.intrinsics)
+        _timed(rows, "trunk", network.encode, batch.depth, batch.intrinsics)
         _timed(rows, "network", network.predict, batch.depth, batch.intrinsics)
         truth = np.resize(view.instances.cam_from_obj, (refined, 4, 4))
         _timed(rows, "refinement", refiner.refine, view.depth, view.camera, truth, np.ones(refined))

@@ -115,17 +115,14 @@ def _errors(network: PoseNetwork, frames: Frames, number: int) -> tuple[Tensor, 
     batch = frames.batch(np.array([number]))
     seen = batch.visibility[0] >= LEAST_VISIBILITY
     boxes, truth = batch.boxes[0][seen], batch.poses[0][seen]
-    outputs, regions = network.read_boxes(
-        batch.depth, batch.intrinsics, boxes, torch.zeros(len(boxes), dtype=torch.long)
-    )
-    valid = regions.valid
-    outputs, regions, truth = outputs.select(valid), regions.select(valid), truth[valid]
+    images = network.encode(batch.depth, batch.intrinsics)
+    regions = network.regions(images, boxes, torch.zeros(len(boxes), dtype=torch.long))
+    regions, truth = regions.select(regions.valid), truth[regions.valid]
+    outputs = network.read(images, regions)
     labels = network.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
     sides = regions.windows[:, 2:] - regions.windows[:, :2]
     centre = ((outputs.offset - labels.offset) * sides).norm(dim=1)
-    best = hypotheses.generate(
-        outputs, network.codec, network.distance, regions.windows, regions.reference_depth, regions.intrinsics, 1
-    )
+    best = hypotheses.generate(outputs, regions, network.codec, network.distance, 1)
     turned = network.distance.rotation_squared(best.relative, labels.rotation).sqrt()
     return centre, 1e3 * (best.depth - labels.depth).abs(), 1e3 * turned
 

@@ -39,11 +39,12 @@ from evalkit.scoring.distances import Sym
 from evalkit.scoring.evaluation import Subject, require_same_subject
 from evalkit.scoring.rules import Settings
 from posenet.coding.bins import Bins
-from posenet.detectors.base import Detections, Detector
+from posenet.detectors.base import DetectionLimits, Detections, Detector
 from posenet.layers.ops import box_iou
 from posenet.network.pose_heads import PoseOutputs
 from posenet.network.pose_network import PoseNetwork
 from posenet.network.regions import Regions
+from posenet.network.stages import ImageFeatures
 from posenet.prediction.any_camera import trained_grid
 from posenet.prediction.predictor import PredictedPoses, Predictor
 
@@ -92,7 +93,7 @@ class TrueDetector(Detector):
     def losses(self, *_: Any) -> Any:
         raise NotImplementedError("it only predicts")
 
-    def detect(self, raw: Any) -> list[Detections]:
+    def detect(self, raw: Any, limits: DetectionLimits | None = None) -> list[Detections]:
         assert self.instances is not None
         boxes = self.instances.boxes[self.instances.visibility >= self.min_visibility]
         return [Detections(boxes, torch.full((len(boxes),), BOX_SCORE, device=boxes.device))]
@@ -103,19 +104,14 @@ class PartlyTrueNetwork(PoseNetwork):
 
     instances: TrueInstances
     replaced: tuple[str, ...] = ()
-    _boxes: Tensor
 
-    def _regions(self, depth: Tensor, intrinsics: Tensor, boxes: Tensor, image_index: Tensor) -> Regions:
-        self._boxes = boxes
-        return super()._regions(depth, intrinsics, boxes, image_index)
-
-    def _read(self, features: Tensor, normals: Tensor, depth: Tensor, regions: Regions) -> PoseOutputs:
-        outputs = super()._read(features, normals, depth, regions)
-        return self._corrected(outputs, regions) if len(self.instances.boxes) and len(self._boxes) else outputs
+    def read(self, images: ImageFeatures, regions: Regions) -> PoseOutputs:
+        outputs = super().read(images, regions)
+        return self._corrected(outputs, regions) if len(self.instances.boxes) and len(regions.boxes) else outputs
 
     def _corrected(self, outputs: PoseOutputs, regions: Regions) -> PoseOutputs:
         """The outputs (n regions) with the replaced stages' parts as they should be, where a region has an instance."""
-        overlap, instance = box_iou(self._boxes, self.instances.boxes).max(1)
+        overlap, instance = box_iou(regions.boxes, self.instances.boxes).max(1)
         known = overlap >= LEAST_OVERLAP
         labels = self.codec.encode(
             self.instances.cam_from_obj[instance], regions.windows, regions.reference_depth, regions.intrinsics

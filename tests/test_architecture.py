@@ -14,6 +14,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("evalkit", "simgen", "posenet")
 ALLOWED = {"evalkit": set(), "simgen": {"evalkit"}, "posenet": {"evalkit"}}
+THEIRS = {"gl_renderer.py": {"_renderer"}}  # of pyrender's offscreen renderer
+NAMED_TUPLES = ("_asdict", "_fields", "_make", "_replace")  # public, whatever their names say
 
 
 def sources(package: str) -> list[Path]:
@@ -60,6 +62,35 @@ def test_nothing_is_unpickled(package: str) -> None:
                 assert options.get("weights_only") == "True", where
             if name in ("np.load", "numpy.load"):
                 assert options.get("allow_pickle", "False") == "False", where
+
+
+def private(name: str) -> bool:
+    return name.startswith("_") and not name.endswith("__") and name not in NAMED_TUPLES
+
+
+def private_names(source: Path) -> tuple[set[str], set[str]]:
+    """The underscore names that a file defines, and those that it uses of something else."""
+    defined, used = set(), set()
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            defined.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            defined.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            (defined if isinstance(node.ctx, ast.Store) else used).add(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            used |= {alias.name for alias in node.names}
+    return {name for name in defined if private(name)}, {name for name in used if private(name)}
+
+
+def test_no_module_reaches_into_another() -> None:
+    """An underscore name stays in its file; those of libraries that have nothing public are not ours to rename."""
+    files = [source for package in PACKAGES for source in sources(package)] + sorted((ROOT / "benchmarks").glob("*.py"))
+    names = {source: private_names(source) for source in files}
+    ours = set().union(*(defined for defined, _ in names.values()))
+    for source, (defined, used) in names.items():
+        foreign = sorted((used & ours) - defined - THEIRS.get(source.name, set()))
+        assert not foreign, f"{source.relative_to(ROOT)} uses {', '.join(foreign)} of another module"
 
 
 @pytest.mark.parametrize("package", PACKAGES)

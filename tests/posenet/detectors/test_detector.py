@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,8 +12,8 @@ from torch import Tensor
 from posenet.detectors import heatmap as heatmap_detector
 from posenet.detectors import rpn as rpn_detector
 from posenet.detectors.base import Detections, Detector
-from posenet.detectors.heatmap import HeatmapDetector
-from posenet.detectors.rpn import NEGATIVE, NEUTRAL, POSITIVE, RpnDetector
+from posenet.detectors.heatmap import HEATMAP_LIMITS, HeatmapDetector
+from posenet.detectors.rpn import NEGATIVE, NEUTRAL, POSITIVE, RPN_LIMITS, RpnDetector
 from posenet.layers import ops
 from posenet.layers.mean import Mean
 from posenet.network.backbone import build_backbone
@@ -33,9 +34,11 @@ def _one_thread() -> object:
 
 def detector(kind: str, channels: int = 64, stride: int = 8) -> Detector:
     if kind == "heatmap":
-        return HeatmapDetector(channels, stride, object_size=26.0, max_detections=20)
+        return HeatmapDetector(channels, stride, object_size=26.0, limits=replace(HEATMAP_LIMITS, least=20))
+    limits = replace(RPN_LIMITS, least=20)
+    sizes = (20.0, 28.0)
     return RpnDetector(
-        channels, stride, (20.0, 28.0), hidden=64, fc_width=128, rois_per_image=64, candidates=500, max_detections=20
+        channels, stride, sizes, hidden=64, fc_width=128, rois_per_image=64, candidates=500, limits=limits
     )
 
 

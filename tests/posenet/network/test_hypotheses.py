@@ -15,6 +15,7 @@ from posenet.coding.sym_distance import SymDistance
 from posenet.config import NetworkConfig
 from posenet.network import hypotheses
 from posenet.network.pose_heads import PoseOutputs
+from posenet.network.regions import Regions
 
 SYMMETRIES = ["none", "cyclic:3", "dihedral:2", "octahedral", "revolution", "revolution-flip", "sphere"]
 
@@ -43,7 +44,9 @@ def generate(codec: PoseCodec, distance: SymDistance, outputs: PoseOutputs) -> h
     count = len(outputs.depth)
     windows = torch.tensor([[100.0, 60.0, 160.0, 120.0]]).expand(count, 4)
     intrinsics = torch.tensor([[300.0, 300.0, 159.5, 119.5]]).expand(count, 4)
-    return hypotheses.generate(outputs, codec, distance, windows, torch.full((count,), 0.6), intrinsics, 5)
+    valid, index = torch.ones(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
+    regions = Regions(windows, windows, index, torch.full((count,), 0.6), intrinsics, valid)
+    return hypotheses.generate(outputs, regions, codec, distance, 5)
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)

@@ -18,14 +18,12 @@ def test_the_detectors_own_boxes_give_the_predicted_poses(run_folder: Path, debu
     found = network.predict(batch.depth, batch.intrinsics)
     assert all(len(image.score) for image in found)
     index = torch.cat([torch.full((len(image.score),), i) for i, image in enumerate(found)])
-    outputs, regions = network.read_boxes(
-        batch.depth, batch.intrinsics, torch.cat([image.box for image in found]), index
-    )
+    with torch.no_grad():
+        images = network.encode(batch.depth, batch.intrinsics)
+        regions = network.regions(images, torch.cat([image.box for image in found]), index)
+        outputs = network.read(images, regions)
     assert regions.valid.all()
-    best = hypotheses.generate(
-        outputs, network.codec, network.distance, regions.windows, regions.reference_depth, regions.intrinsics,
-        network.config.network.hypotheses,
-    )  # fmt: skip
+    best = hypotheses.generate(outputs, regions, network.codec, network.distance, network.config.network.hypotheses)
     for row, center in enumerate(torch.cat([image.center for image in found])):
         same = best.center[best.detection == row]
         assert (same - center).norm(dim=1).min() < 1e-4

@@ -18,7 +18,7 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.commands.cli import main
 from posenet.config import preset
-from posenet.models.model_file import save_model
+from posenet.models.model_file import load_model, save_model
 from posenet.network.pose_network import PoseNetwork
 from posenet.prediction.images import read_depth
 from posenet.prediction.predictor import Predictor
@@ -75,6 +75,31 @@ def test_refinement_returns_fewer_poses_each_once(run_folder: Path, predictor: P
     refined = Predictor.load(run_folder, "cpu", refine=True).predict(view.depth, view.camera)
     assert 0 < len(refined.score) < len(predictor.predict(view.depth, view.camera).score)
     assert (np.diff(refined.score) <= 0).all()
+
+
+def test_two_predictors_on_one_network_predict_what_each_does_alone(run_folder: Path, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    network = load_model(run_folder).network
+    network.train()
+    alone = [Predictor.load(run_folder, "cpu", refine).predict(view.depth, view.camera) for refine in (False, True)]
+    sharing = [Predictor(network, refine=refine) for refine in (False, True)]
+    for _ in range(2):
+        for predictor, wanted in zip(sharing, alone, strict=True):
+            found = predictor.predict(view.depth, view.camera)
+            np.testing.assert_array_equal(found.cam_from_obj, wanted.cam_from_obj)
+            np.testing.assert_array_equal(found.score, wanted.score)
+    assert network.training and not network.bf16
+
+
+def test_poses_of_one_detection_have_one_number_and_one_box(run_folder: Path, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    alone, refined = (
+        Predictor.load(run_folder, "cpu", bool(refine)).predict(view.depth, view.camera) for refine in (0, 1)
+    )
+    for number in np.unique(alone.detection):
+        assert len(np.unique(alone.boxes[alone.detection == number], axis=0)) == 1
+    assert np.bincount(alone.detection).max() > 1
+    assert len(np.unique(refined.detection)) == len(refined.detection) > 0
 
 
 def test_labels_of_the_shards_are_not_read(

@@ -143,10 +143,10 @@ def predict(
     depth/*.png). Images are named as their files, without the suffix.
     """
     from posenet.commands import predict as commands
-    from posenet.prediction.ablation import Ablation
+    from posenet.network.predict_options import PredictOptions
 
-    ablation = Ablation(not no_registration, not no_offset, hypotheses)
-    click.echo(commands.predict(model, source, ablation=ablation, **options))
+    switched = PredictOptions(not no_registration, not no_offset, hypotheses)
+    click.echo(commands.predict(model, source, options=switched, **options))
 
 
 @main.command()

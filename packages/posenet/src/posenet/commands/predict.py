@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from evalkit.datasets.documents import write_predictions
-from posenet.prediction.ablation import Ablation
+from posenet.network.predict_options import PredictOptions
 from posenet.prediction.picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
 from posenet.prediction.sources import DepthSource, open_source
@@ -30,7 +30,7 @@ def predict(
     max_images: int | None = None,
     device: str = "auto",
     refine: bool = False,
-    ablation: Ablation | None = None,
+    options: PredictOptions | None = None,
 ) -> str:
     """Predict on the images at `path`, write `out` and, if asked for, a picture of the first; returns a summary.
 
@@ -39,7 +39,7 @@ def predict(
         OSError: a folder cannot be written; said before the work, not after it.
     """
     source = open_source(path, camera_file, depth_unit)
-    predictor = Predictor.load(model, device, refine, ablation)
+    predictor = Predictor.load(model, device, refine, options)
     for file in [out] + ([picture] if picture is not None else []):
         _require_writable(file.parent)
     numbers = source.spread(max_images)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -21,6 +23,20 @@ class Detections(NamedTuple):
     scores: Tensor  # (K,) probability that the box holds an instance
 
 
+@dataclass(frozen=True)
+class DetectionLimits:
+    """Which boxes are detections, and how many of them an image may hold."""
+
+    min_score: float  # less is no detection
+    nms_iou: float  # of two boxes that overlap by more the worse is dropped
+    least: int  # every image may hold so many
+    density: float = 0.0  # and as many as this a pixel, if that is more
+
+    def most(self, image_size: tuple[int, int]) -> int:
+        """The most detections of an image of `image_size` (height, width)."""
+        return max(self.least, math.ceil(self.density * image_size[0] * image_size[1]))
+
+
 class Detector(nn.Module, ABC):
     """Finds the boxes of instances of the one object that the network knows.
 
@@ -28,9 +44,7 @@ class Detector(nn.Module, ABC):
     an instance too hidden to be asked for: finding it is neither rewarded nor punished.
     """
 
-    min_score: float  # less is no detection
-    nms_iou: float  # of two boxes that overlap by more the worse is dropped
-    max_detections: int  # an image
+    limits: DetectionLimits
 
     @abstractmethod
     def forward(self, features: Tensor, image_size: tuple[int, int]) -> Any:
@@ -47,15 +61,16 @@ class Detector(nn.Module, ABC):
         """
 
     @abstractmethod
-    def detect(self, raw: Any) -> list[Detections]:
-        """What is found in each image; without gradient."""
+    def detect(self, raw: Any, limits: DetectionLimits | None = None) -> list[Detections]:
+        """What is found in each image, within `limits` (None: the detector's own); without gradient."""
 
-    def thinned(self, boxes: Tensor, scores: Tensor) -> Detections:
-        """Of one image's boxes (n, 4) with scores (n,) the detections: sure enough, and each instance once."""
-        usable = (scores >= self.min_score) & wide_enough(boxes)
-        boxes, scores = boxes[usable], scores[usable]
-        kept = nms(boxes, scores, self.nms_iou)[: self.max_detections]
-        return Detections(boxes[kept], scores[kept])
+
+def thinned(boxes: Tensor, scores: Tensor, limits: DetectionLimits, most: int) -> Detections:
+    """Of one image's boxes (n, 4) with scores (n,) the detections: sure enough, each instance once, `most` of them."""
+    usable = (scores >= limits.min_score) & wide_enough(boxes)
+    boxes, scores = boxes[usable], scores[usable]
+    kept = nms(boxes, scores, limits.nms_iou)[:most]
+    return Detections(boxes[kept], scores[kept])
 
 
 def wide_enough(boxes: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from posenet.detectors.base import Detections, Detector
+from posenet.detectors.base import DetectionLimits, Detections, Detector, thinned
 from posenet.layers.mean import Mean
 from posenet.layers.normalisation import build_normalisation
 from posenet.layers.ops import clip_boxes
@@ -22,6 +22,7 @@ PRIOR = 0.1  # probability of a centre that an untrained heatmap shows; RetinaNe
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
 REACH = 1  # cells around a centre that learn its box
+CANDIDATES = 4  # cells a detection that enter the suppression, at most
 
 
 class HeatmapOutputs(NamedTuple):
@@ -41,6 +42,9 @@ class CenterTargets(NamedTuple):
     learns_box: Tensor  # (h, w) bool
 
 
+HEATMAP_LIMITS = DetectionLimits(min_score=0.1, nms_iou=0.65, least=64)
+
+
 class HeatmapDetector(Detector):
     """Heatmap and box distances from one shared 3 x 3 layer.
 
@@ -53,20 +57,14 @@ class HeatmapDetector(Detector):
         stride: int,
         object_size: float,
         *,
-        max_detections: int = 64,
-        candidates: int = 256,
-        min_score: float = 0.1,
-        nms_iou: float = 0.65,
+        limits: DetectionLimits = HEATMAP_LIMITS,
         box_weight: float = 0.5,
         norm: str = "batch",
     ) -> None:
         super().__init__()
         self.stride = stride
         self.object_size = object_size
-        self.max_detections = max_detections
-        self.candidates = candidates
-        self.min_score = min_score
-        self.nms_iou = nms_iou
+        self.limits = limits
         self.box_weight = box_weight
         self.shared = nn.Sequential(
             nn.Conv2d(channels, channels, 3, padding=1, bias=False),
@@ -103,7 +101,7 @@ class HeatmapDetector(Detector):
         return {"heatmap": focal_loss(raw.logits, bell, center), "box": Mean.of(box, len(wanted))}
 
     @torch.no_grad()
-    def detect(self, raw: HeatmapOutputs) -> list[Detections]:
+    def detect(self, raw: HeatmapOutputs, limits: DetectionLimits | None = None) -> list[Detections]:
         """The surest cells, thinned by the overlap of their boxes.
 
         CenterNet keeps the local maxima of 3 x 3 cells instead. In a heap two visible boxes often have their centres in
@@ -114,10 +112,12 @@ class HeatmapDetector(Detector):
         Long parts that cross have much the same box: of candlesticks at least half visible, 4.7 % overlap another by an
         IoU of 0.55, but 0.8 % by 0.65. Two boxes of one instance cost less: registration and refinement know them.
         """
-        scores, cells = raw.logits.flatten(1).sigmoid().topk(min(self.candidates, raw.logits[0].numel()))
+        limits = limits or self.limits
+        most = limits.most(raw.image_size)
+        scores, cells = raw.logits.flatten(1).sigmoid().topk(min(CANDIDATES * most, raw.logits[0].numel()))
         boxes = raw.boxes.flatten(1, 2).gather(1, cells[..., None].expand(-1, -1, 4))
         boxes = clip_boxes(boxes, *raw.image_size)
-        return [self.thinned(*image) for image in zip(boxes, scores, strict=True)]
+        return [thinned(*image, limits, most) for image in zip(boxes, scores, strict=True)]
 
     def _initialise(self) -> None:
         nn.init.kaiming_normal_(self.shared[0].weight, nonlinearity="relu")  # type: ignore[arg-type]

@@ -11,12 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from posenet.detectors.base import Detections, Detector, wide_enough
+from posenet.detectors.base import DetectionLimits, Detections, Detector, thinned, wide_enough
 from posenet.detectors.heatmap import cell_centers
 from posenet.layers.mean import Mean
 from posenet.layers.ops import box_iou, clip_boxes, decode_boxes, encode_boxes, nms, roi_align
 
 POSITIVE, NEGATIVE, NEUTRAL = 1, 0, -1
+RPN_LIMITS = DetectionLimits(min_score=0.05, nms_iou=0.5, least=64)
 REFINEMENT_SCALE = (0.1, 0.1, 0.2, 0.2)  # Fast R-CNN's: refinements are small, so that they are learnt in these units
 
 
@@ -49,11 +50,12 @@ class RpnDetector(Detector):
         candidates: int = 2000,
         proposals: int = 300,
         proposal_iou: float = 0.7,
-        max_detections: int = 64,
-        min_score: float = 0.05,
-        nms_iou: float = 0.5,
+        limits: DetectionLimits = RPN_LIMITS,
     ) -> None:
-        """`candidates` enter the proposals' suppression at `proposal_iou`, `proposals` leave it at most."""
+        """`candidates` enter the proposals' suppression at `proposal_iou`, `proposals` leave it at most.
+
+        Both are of an image that may hold `limits.least` detections, and grow with that number.
+        """
         super().__init__()
         self.stride = stride
         self.anchors_per_image = anchors_per_image
@@ -61,9 +63,7 @@ class RpnDetector(Detector):
         self.candidates = candidates
         self.proposals = proposals
         self.proposal_iou = proposal_iou
-        self.max_detections = max_detections
-        self.min_score = min_score
-        self.nms_iou = nms_iou
+        self.limits = limits
         shapes = anchor_shapes(anchor_sizes, anchor_ratios)
         self.register_buffer("shapes", shapes, persistent=False)
         self.shared = nn.Sequential(nn.Conv2d(channels, hidden, 3, padding=1), nn.ReLU(inplace=True))
@@ -95,27 +95,30 @@ class RpnDetector(Detector):
         return {"objectness": objectness, "proposal": proposal, "score": score, "refinement": refinement}
 
     @torch.no_grad()
-    def detect(self, raw: RpnOutputs) -> list[Detections]:
-        proposals = self.propose(raw)
+    def detect(self, raw: RpnOutputs, limits: DetectionLimits | None = None) -> list[Detections]:
+        limits = limits or self.limits
+        most = limits.most(raw.image_size)
+        proposals = self.propose(raw, most / limits.least)
         logits, deltas = self.box_head(raw.features, proposals)
         found = []
         for boxes, logit, delta in zip(proposals, logits, deltas, strict=True):
             boxes = clip_boxes(decode_boxes(delta, boxes), *raw.image_size)
-            found.append(self.thinned(boxes, logit.sigmoid()))
+            found.append(thinned(boxes, logit.sigmoid(), limits, most))
         return found
 
     @torch.no_grad()
-    def propose(self, raw: RpnOutputs) -> list[Tensor]:
-        """The first stage's best boxes (P, 4) of each image, P <= proposals, best first."""
-        logits, index = raw.logits.topk(min(self.candidates, raw.logits.shape[1]))
+    def propose(self, raw: RpnOutputs, crowd: float = 1.0) -> list[Tensor]:
+        """The first stage's best boxes (P, 4) of each image, P <= crowd * proposals, best first."""
+        logits, index = raw.logits.topk(min(round(self.candidates * crowd), raw.logits.shape[1]))
         deltas = raw.deltas.gather(1, index[..., None].expand(-1, -1, 4))
         boxes = clip_boxes(decode_boxes(deltas, raw.anchors[index]), *raw.image_size)
-        return [self._proposals_of(*image) for image in zip(boxes, logits, strict=True)]
+        most = round(self.proposals * crowd)
+        return [self._proposals_of(*image, most) for image in zip(boxes, logits, strict=True)]
 
-    def _proposals_of(self, boxes: Tensor, logits: Tensor) -> Tensor:
+    def _proposals_of(self, boxes: Tensor, logits: Tensor, most: int) -> Tensor:
         usable = wide_enough(boxes)
         boxes, logits = boxes[usable], logits[usable]
-        return boxes[nms(boxes, logits, self.proposal_iou)[: self.proposals]]
+        return boxes[nms(boxes, logits, self.proposal_iou)[:most]]
 
     def _first_stage_losses(
         self, raw: RpnOutputs, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]

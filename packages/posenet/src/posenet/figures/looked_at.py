@@ -14,7 +14,7 @@ from evalkit.drawing.overlays import draw_poses, shade
 from evalkit.errors import InputError
 from posenet.coding import euler
 from posenet.detectors.base import Detections
-from posenet.network.depth_input import intrinsics_of, pad_to_multiple, resample
+from posenet.network.depth_input import intrinsics_of, resample
 from posenet.network.hypotheses import Hypotheses
 from posenet.network.pose_heads import PoseOutputs
 from posenet.network.pose_network import PoseNetwork
@@ -67,15 +67,15 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
         InputError: the camera is not the one that the network was trained with, or nothing is found.
     """
     view = _as_trained(view, network)
-    depth = pad_to_multiple(torch.from_numpy(view.depth)[None], network.backbone.stride)
-    intrinsics = intrinsics_of(view.camera)[None]
-    features, normals = network._features(depth, intrinsics)
-    ((outputs, few, detections),) = list(network._hypothesise(features, normals, depth, intrinsics))
-    if len(few) == 0:
+    depth, intrinsics = torch.from_numpy(view.depth)[None], intrinsics_of(view.camera)[None]
+    with network.predicting(bf16=False):
+        (proposals,) = network.propose(network.encode(depth, intrinsics))
+        scored = network.score(proposals)
+    detections, outputs, hypotheses = proposals
+    if len(hypotheses) == 0:
         raise InputError(f"image '{view.image_id}': the model finds nothing there; give another --frame.")
-    scored = network._score_image(outputs, few, detections)
-    score = network._final_logit(scored).sigmoid().double().numpy()
-    return LookedAt(network, view, outputs, few, detections, scored.logit, score)
+    score = network.final_logit(scored).sigmoid().double().numpy()
+    return LookedAt(network, view, outputs, hypotheses, detections, scored.confidence, score)
 
 
 def _as_trained(view: View, network: PoseNetwork) -> View:

@@ -43,6 +43,7 @@ from posenet.coding.bins import Bins
 from posenet.detectors.rpn import RpnDetector
 from posenet.layers.ops import clip_boxes, decode_boxes
 from posenet.network.pose_network import PoseNetwork
+from posenet.network.stages import ImageFeatures
 
 FORMAT = "binpose-onnx/1"
 OPSET = 18
@@ -62,13 +63,13 @@ class TrunkGraph(nn.Module):
 
     def forward(self, depth: Tensor, intrinsics: Tensor) -> tuple[Tensor, ...]:
         network = self.network
-        features, normals = network._features(depth, intrinsics)
-        raw = network.detector(features, depth.shape[-2:])
+        images = network.encode(depth, intrinsics)
+        raw = network.detector(images.features, images.size)
         if isinstance(network.detector, RpnDetector):
             boxes = decode_boxes(raw.deltas, raw.anchors)
         else:
             boxes = raw.boxes.flatten(1, 2)
-        return features, normals, raw.logits.flatten(1).sigmoid(), clip_boxes(boxes, *depth.shape[-2:])
+        return images.features, images.normals, raw.logits.flatten(1).sigmoid(), clip_boxes(boxes, *images.size)
 
 
 class RegionGraph(nn.Module):
@@ -87,8 +88,9 @@ class RegionGraph(nn.Module):
             (logit,), (delta,) = network.detector.box_head(features, [box])
             box, score = clip_boxes(decode_boxes(delta, box), *depth.shape[-2:]), logit.sigmoid()
         index = torch.zeros_like(box[:, 0], dtype=torch.long)
-        regions = network._regions(depth, intrinsics, box, index)
-        found = network._read(features, normals, depth, regions)
+        images = ImageFeatures(depth, intrinsics, normals, features)
+        regions = network.regions(images, box, index)
+        found = network.read(images, regions)
         read = (found.offset, found.depth, *found.angles, found.rotation)
         return regions.windows, regions.reference_depth, *read, score, box
 
@@ -138,9 +140,9 @@ def decoding(network: PoseNetwork) -> dict[str, Any]:
         "camera": network.camera.to_json(),
         "detector": {
             "kind": net.detector,
-            "least_score": detector.min_score,
-            "nms_iou": detector.nms_iou,
-            "most": net.max_detections,
+            "least_score": detector.limits.min_score,
+            "nms_iou": detector.limits.nms_iou,
+            "most": detector.limits.most((depth.shape[1], depth.shape[2])),
         },
         "depth": {"bins": _bins(codec.depth_bins), "relative": net.depth == "relative"},
         "angles": {name: _bins(bins) for name, bins in zip("abc", codec.angle_bins, strict=True)},

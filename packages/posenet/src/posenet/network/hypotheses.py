@@ -12,6 +12,7 @@ from posenet.coding import euler
 from posenet.coding.pose_codec import PoseCodec
 from posenet.coding.sym_distance import SymDistance
 from posenet.network.pose_heads import PoseOutputs
+from posenet.network.regions import Regions
 
 MODES = (3, 2, 3)  # of a, b, c; and of depth:
 DEPTH_MODES = 2
@@ -39,26 +40,28 @@ class Hypotheses(NamedTuple):
     def select(self, rows: Tensor) -> Hypotheses:
         return Hypotheses(*(part[rows] for part in self))
 
+    def numbered(self, detection: Tensor) -> Hypotheses:
+        """The same with other numbers (H,) of their detections."""
+        return Hypotheses(detection, *self[1:])
+
+    @classmethod
+    def joined(cls, parts: list[Hypotheses]) -> Hypotheses:
+        """Several sets, one after the other; no two may number different detections alike."""
+        return cls(*(torch.cat(part) for part in zip(*parts, strict=True)))
+
 
 @torch.no_grad()
 def generate(
-    outputs: PoseOutputs,
-    codec: PoseCodec,
-    distance: SymDistance,
-    windows: Tensor,
-    reference_depth: Tensor,
-    intrinsics: Tensor,
-    per_detection: int,
+    outputs: PoseOutputs, regions: Regions, codec: PoseCodec, distance: SymDistance, per_detection: int
 ) -> Hypotheses:
-    """At most `per_detection` hypotheses for each of n regions (windows (n, 4), intrinsics (n, 4)).
+    """At most `per_detection` hypotheses for each of n regions, whose rows `detection` numbers.
 
     Greedy: a candidate nearer than the object's Sym threshold to a better one of the same detection is dropped.
     """
     relative, depth, mass = _candidates(outputs, codec)
     offset = outputs.offset[:, None].expand(*depth.shape, 2)
-    rotation, center = codec.decode(
-        offset, depth, relative, windows[:, None], reference_depth[:, None], intrinsics[:, None]
-    )
+    windows, reference, intrinsics = regions.windows, regions.reference_depth, regions.intrinsics
+    rotation, center = codec.decode(offset, depth, relative, windows[:, None], reference[:, None], intrinsics[:, None])
     keep = _thin(distance.pairwise(rotation, center), mass, codec.model.threshold, per_detection)
     detection, candidate = keep.nonzero(as_tuple=True)
     rows = (detection, candidate)

@@ -26,6 +26,13 @@ class PoseOutputs(NamedTuple):
         a, b, c = (angle[rows] for angle in self.angles)
         return PoseOutputs(self.offset[rows], self.depth[rows], (a, b, c), self.rotation[rows], self.features[rows])
 
+    @classmethod
+    def joined(cls, parts: list[PoseOutputs]) -> PoseOutputs:
+        """The regions of several outputs, one after the other."""
+        offset, depth, angles, rotation, features = zip(*parts, strict=True)
+        a, b, c = (torch.cat(angle) for angle in zip(*angles, strict=True))
+        return cls(torch.cat(offset), torch.cat(depth), (a, b, c), torch.cat(rotation), torch.cat(features))
+
 
 class PoseHeads(nn.Module):
     """Two fully connected layers over the pooled features, then one linear layer a task (the paper's figure 2).

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,17 +15,17 @@ from evalkit.objects.model import ObjectModel
 from posenet.coding import euler
 from posenet.coding.pose_codec import PoseCodec
 from posenet.coding.sym_distance import SymDistance
-from posenet.config import Config, NetworkConfig
-from posenet.detectors.base import Detections, Detector
-from posenet.detectors.heatmap import HeatmapDetector
-from posenet.detectors.rpn import RpnDetector
+from posenet.config import Config
+from posenet.detectors.base import DetectionLimits, Detections
+from posenet.detectors.build import build_detector
 from posenet.layers.mean import Mean
 from posenet.layers.ops import roi_align
 from posenet.network import depth_input, hypotheses, losses, targets
-from posenet.network.backbone import Backbone, build_backbone
+from posenet.network.backbone import build_backbone
 from posenet.network.confidence import ConfidenceHead
 from posenet.network.hypotheses import Hypotheses
 from posenet.network.pose_heads import PoseHeads, PoseOutputs
+from posenet.network.predict_options import PredictOptions
 from posenet.network.regions import Regions, make_regions
 from posenet.network.registration import (
     HypothesisSet,
@@ -35,45 +34,11 @@ from posenet.network.registration import (
     registration_targets,
     relation_features,
 )
+from posenet.network.stages import ImageFeatures, ImagePoses, Proposals, Scored
 from posenet.network.targets import Batch
 
-
-class ImagePoses(NamedTuple):
-    """What the network says about one image: H hypotheses, best first."""
-
-    rotation: Tensor  # (H, 3, 3) canonical object frame
-    center: Tensor  # (H, 3) metres, centroid in the camera's frame
-    score: Tensor  # (H,) in [0, 1]
-    box: Tensor  # (H, 4) of the detection it comes from
-    detection: Tensor  # (H,) number of that detection
-
-
-class _Scored(NamedTuple):
-    """Hypotheses of one image on their way to a score."""
-
-    hypotheses: Hypotheses
-    logit: Tensor  # (H,) before registration
-    registered: Tensor | None  # (H,) logit after registration
-    boxes: Tensor  # (n, 4) of the detections
-
-
-def build_detector(config: NetworkConfig, backbone: Backbone, object_size: float) -> Detector:
-    """The detector that `config` names; `object_size` is the object's diameter in pixels."""
-    if config.detector == "heatmap":
-        return HeatmapDetector(
-            backbone.channels, backbone.stride, object_size, max_detections=config.max_detections, norm=config.norm
-        )
-    # Anchors from the whole object to what is left of one seen end-on and half hidden.
-    sizes = tuple(scale * object_size for scale in (0.4, 0.6, 0.85))
-    return RpnDetector(
-        backbone.channels,
-        backbone.stride,
-        sizes,
-        fc_width=config.fc_width,
-        dropout=config.dropout,
-        roi_size=config.roi_size,
-        max_detections=config.max_detections,
-    )
+AS_TRAINED = PredictOptions()
+REGIONS_AT_ONCE = 256
 
 
 class PoseNetwork(nn.Module):
@@ -94,7 +59,7 @@ class PoseNetwork(nn.Module):
         turn = self.codec.canonical_from_obj[:3, :3]
         self.distance = SymDistance(model.symmetry.rotated(turn), turn @ model.lam_in_obj @ turn.T)
         self.backbone = build_backbone(net.backbone, in_channels=3, norm=net.norm)
-        self.detector = build_detector(config.network, self.backbone, self.object_size)
+        self.detector = build_detector(net, self.backbone.channels, self.backbone.stride, model, self.object_size)
         a, b, c = self.codec.angle_bins
         self.heads = PoseHeads(self.backbone.channels, (a.count, b.count, c.count), net)
         self.confidence = ConfidenceHead(net.fc_width) if net.confidence == "learned" else None
@@ -129,41 +94,144 @@ class PoseNetwork(nn.Module):
         that train together never wait for what one of them has not.
         """
         draws = batch.draws()
-        batch = batch._replace(depth=self._covered(batch.depth))
-        features, normals = self._features(batch.depth, batch.intrinsics)
-        image_size = batch.depth.shape[-2:]
+        images = self.encode(batch.depth, batch.intrinsics)
         find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
         with self._autocast():
-            found = self.detector.losses(self.detector(features, image_size), find, ignore, draws)
+            found = self.detector.losses(self.detector(images.features, images.size), find, ignore, draws)
         sample = targets.sample_regions(batch, self.config.train, draws)
-        regions = self._regions(batch.depth, batch.intrinsics, sample.boxes, sample.image_index)
+        regions = self.regions(images, sample.boxes, sample.image_index)
         regions, truth = regions.select(regions.valid), sample.poses[regions.valid]
-        outputs = self._read(features, normals, batch.depth, regions)
+        outputs = self.read(images, regions)
         labels = self.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
         found |= losses.pose_losses(outputs, labels, self.codec, self.distance, self.config.loss)
         if scoring_images and (self.confidence is not None or self.registration is not None):
-            few = slice(0, scoring_images)
-            found |= self._scoring_losses(features.detach()[few], normals[few], batch)
+            found |= self._scoring_losses(images.first(scoring_images), batch)
         return found
 
     @torch.no_grad()
-    def predict(self, depth: Tensor, intrinsics: Tensor) -> list[ImagePoses]:
+    def predict(self, depth: Tensor, intrinsics: Tensor, options: PredictOptions = AS_TRAINED) -> list[ImagePoses]:
         """Poses for images (B, H, W) in metres with intrinsics (B, 4), in eval mode; one entry an image."""
-        depth = self._covered(depth)
-        features, normals = self._features(depth, intrinsics)
-        return [self._ranked(scored) for scored in self._score(features, normals, depth, intrinsics)]
+        images = self.encode(depth, intrinsics)
+        scored = (self.score(proposals, options) for proposals in self.propose(images, options))
+        return [self.rank(image) for image in scored]
+
+    @contextmanager
+    def predicting(self, bf16: bool) -> Iterator[None]:
+        """Within the block the network is in eval mode, its layers in bf16 or not; afterwards it is as it was."""
+        was_training, had = self.training, self.bf16
+        self.eval()
+        self.bf16 = bf16
+        try:
+            yield
+        finally:
+            self.train(was_training)
+            self.bf16 = had
+
+    def encode(self, depth: Tensor, intrinsics: Tensor) -> ImageFeatures:
+        """Images (B, H, W) in metres with intrinsics (B, 4) through the trunk; padded until its cells cover them."""
+        depth = depth_input.pad_to_multiple(depth, self.backbone.stride)
+        normals = depth_input.surface_normals(depth, intrinsics)
+        image = depth_input.network_input(
+            depth, normals, self.config.network, self.model.diameter, self.depth_range
+        ).contiguous(memory_format=torch.channels_last)
+        with self._autocast():
+            return ImageFeatures(depth, intrinsics, normals, self.backbone(image))
 
     @torch.no_grad()
-    def read_boxes(
-        self, depth: Tensor, intrinsics: Tensor, boxes: Tensor, image_index: Tensor
-    ) -> tuple[PoseOutputs, Regions]:
-        """What the heads say about n boxes (n, 4) of images `image_index` (n,), in eval mode, and the boxes' regions.
+    def detect(self, images: ImageFeatures, limits: DetectionLimits | None = None) -> list[Detections]:
+        """Boxes of instances in each image."""
+        with self._autocast():
+            return self.detector.detect(self.detector(images.features, images.size), limits)
 
-        The detector is left out. Regions that are not `valid` have no depth; nothing follows from their outputs.
+    def regions(self, images: ImageFeatures, boxes: Tensor, image_index: Tensor) -> Regions:
+        """The windows that poses are read from, for boxes (n, 4) on images `image_index` (n,)."""
+        return make_regions(
+            images.depth, images.intrinsics, boxes, image_index, self.config.network, self.model.diameter
+        )
+
+    def read(self, images: ImageFeatures, regions: Regions) -> PoseOutputs:
+        """Pool the regions' features and crops and run the heads; nothing follows for regions that are not `valid`."""
+        net = self.config.network
+        rois = torch.cat([regions.image_index[:, None].to(regions.windows), regions.windows], 1)
+        crops = None
+        if net.crop_size:
+            crops = depth_input.raw_crops(
+                images.depth, images.normals, regions.windows, regions.reference_depth, regions.image_index,
+                net.crop_size, self.model.diameter / 2,
+            )  # fmt: skip
+        with self._autocast():
+            pooled = roi_align(images.features, rois, net.roi_size, 1.0 / self.backbone.stride)
+            return self.heads(pooled, crops)
+
+    @torch.no_grad()
+    def propose(self, images: ImageFeatures, options: PredictOptions = AS_TRAINED) -> list[Proposals]:
+        """For each image its detections, what is read off them, and the hypotheses that follow.
+
+        The regions are read in portions, so that a large crowd needs no more memory than a small one.
         """
-        features, normals = self._features(depth, intrinsics)
-        regions = self._regions(depth, intrinsics, boxes, image_index)
-        return self._read(features, normals, depth, regions), regions
+        per_image = self.detect(images, options.detection)
+        index = torch.cat([torch.full_like(d.scores, i, dtype=torch.long) for i, d in enumerate(per_image)])
+        boxes, scores = torch.cat([d.boxes for d in per_image]), torch.cat([d.scores for d in per_image])
+        regions = self.regions(images, boxes, index)
+        regions, scores = regions.select(regions.valid), scores[regions.valid]
+        outputs, found = self._read_in_portions(images, regions, options)
+        proposals = []
+        for i in range(len(images.depth)):
+            mine = regions.image_index == i
+            rows = mine.nonzero()[:, 0]
+            some = found.select(mine[found.detection])
+            some = some.numbered((mine.cumsum(0) - 1)[some.detection])
+            detections = Detections(regions.boxes[rows], scores[rows])
+            proposals.append(Proposals(detections, outputs.select(rows), some))
+        return proposals
+
+    def _read_in_portions(
+        self, images: ImageFeatures, regions: Regions, options: PredictOptions
+    ) -> tuple[PoseOutputs, Hypotheses]:
+        trained = self.config.network.hypotheses
+        per_detection = min(options.hypotheses or trained, trained)
+        outputs, found = [], []
+        rows = torch.arange(len(regions.valid), device=images.depth.device)
+        for portion in rows.split(REGIONS_AT_ONCE):
+            some = regions.select(portion)
+            read = self.read(images, some)
+            if not options.offset:
+                read = read._replace(offset=torch.zeros_like(read.offset))
+            part = hypotheses.generate(read, some, self.codec, self.distance, per_detection)
+            outputs.append(read)
+            found.append(part.numbered(portion[part.detection]))
+        return PoseOutputs.joined(outputs), Hypotheses.joined(found)
+
+    def score(self, proposals: Proposals, options: PredictOptions = AS_TRAINED) -> Scored:
+        """The logits of one image's hypotheses; gradients reach the scoring parameters only."""
+        detections, outputs, found = proposals
+        if self.confidence is not None:
+            confidence = self.confidence(outputs.features, detections.scores, found, self.model.diameter)
+        else:
+            product = detections.scores[found.detection].clamp(1e-6, 1 - 1e-6).log() + found.log_product
+            confidence = product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
+        registered = None
+        if self.registration is not None and options.registration:
+            angles = torch.stack(euler.to_angles(found.relative), -1)
+            claims = HypothesisSet(confidence.detach(), found.rotation, found.center, angles, found.detection)
+            neighbours = self.config.network.registration_neighbours
+            registered = self.registration(relation_features(claims, self.model_box, neighbours))
+        return Scored(found, detections.boxes, confidence, registered)
+
+    def final_logit(self, scored: Scored) -> Tensor:
+        """A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own."""
+        if scored.registered is None:
+            return scored.confidence
+        both = (scored.confidence + scored.registered) / 2
+        return both if self.confidence is not None else scored.registered
+
+    def rank(self, scored: Scored) -> ImagePoses:
+        """The hypotheses by their final score, best first."""
+        logit = self.final_logit(scored)
+        order = logit.argsort(descending=True, stable=True)
+        found = scored.hypotheses.select(order)
+        boxes = scored.boxes[found.detection]
+        return ImagePoses(found.rotation, found.center, logit[order].sigmoid(), boxes, found.detection)
 
     def _model_box(self) -> Tensor:
         """Lowest and highest corner (2, 3) of the object in its canonical frame."""
@@ -179,107 +247,28 @@ class PoseNetwork(nn.Module):
         with torch.autocast(device, dtype=torch.bfloat16, enabled=self.bf16):
             yield
 
-    def _covered(self, depth: Tensor) -> Tensor:
-        """Images (B, H, W) padded until the trunk's cells cover every pixel."""
-        return depth_input.pad_to_multiple(depth, self.backbone.stride)
-
-    def _features(self, depth: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-        normals = depth_input.surface_normals(depth, intrinsics)
-        image = depth_input.network_input(
-            depth, normals, self.config.network, self.model.diameter, self.depth_range
-        ).contiguous(memory_format=torch.channels_last)
-        with self._autocast():
-            return self.backbone(image), normals
-
-    def _regions(self, depth: Tensor, intrinsics: Tensor, boxes: Tensor, image_index: Tensor) -> Regions:
-        return make_regions(depth, intrinsics, boxes, image_index, self.config.network, self.model.diameter)
-
-    def _read(self, features: Tensor, normals: Tensor, depth: Tensor, regions: Regions) -> PoseOutputs:
-        """Pool the regions' features and crops and run the heads."""
-        net = self.config.network
-        rois = torch.cat([regions.image_index[:, None].to(regions.windows), regions.windows], 1)
-        crops = None
-        if net.crop_size:
-            crops = depth_input.raw_crops(
-                depth, normals, regions.windows, regions.reference_depth, regions.image_index, net.crop_size,
-                self.model.diameter / 2,
-            )  # fmt: skip
-        with self._autocast():
-            pooled = roi_align(features, rois, net.roi_size, 1.0 / self.backbone.stride)
-            return self.heads(pooled, crops)
-
-    @torch.no_grad()
-    def _hypothesise(
-        self, features: Tensor, normals: Tensor, depth: Tensor, intrinsics: Tensor
-    ) -> Iterator[tuple[PoseOutputs, Hypotheses, Detections]]:
-        """For each image its detections, what was read off them, and the hypotheses that follow."""
-        with self._autocast():
-            detections = self.detector.detect(self.detector(features, depth.shape[-2:]))
-        index = torch.cat([torch.full((len(d.scores),), i, device=depth.device) for i, d in enumerate(detections)])
-        boxes, scores = torch.cat([d.boxes for d in detections]), torch.cat([d.scores for d in detections])
-        regions = self._regions(depth, intrinsics, boxes, index)
-        outputs = self._read(features, normals, depth, regions)
-        for i in range(len(depth)):
-            rows = ((index == i) & regions.valid).nonzero()[:, 0]
-            part, region = outputs.select(rows), regions.select(rows)
-            few = hypotheses.generate(
-                part, self.codec, self.distance, region.windows, region.reference_depth, region.intrinsics,
-                self.config.network.hypotheses,
-            )  # fmt: skip
-            yield part, few, Detections(boxes[rows], scores[rows])
-
-    def _score(self, features: Tensor, normals: Tensor, depth: Tensor, intrinsics: Tensor) -> list[_Scored]:
-        """Hypotheses of each image with their logits; gradients reach the scoring parameters only."""
-        was_training = self.heads.training, self.detector.training
-        self.heads.eval(), self.detector.eval()
-        found = list(self._hypothesise(features, normals, depth, intrinsics))
-        self.heads.train(was_training[0]), self.detector.train(was_training[1])
-        return [self._score_image(*image) for image in found]
-
-    def _score_image(self, outputs: PoseOutputs, few: Hypotheses, detections: Detections) -> _Scored:
-        if self.confidence is not None:
-            logit = self.confidence(outputs.features, detections.scores, few, self.model.diameter)
-        else:
-            product = detections.scores[few.detection].clamp(1e-6, 1 - 1e-6).log() + few.log_product
-            logit = product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
-        registered = None
-        if self.registration is not None:
-            angles = torch.stack(euler.to_angles(few.relative), -1)
-            claims = HypothesisSet(logit.detach(), few.rotation, few.center, angles, few.detection)
-            registered = self.registration(
-                relation_features(claims, self.model_box, self.config.network.registration_neighbours)
-            )
-        return _Scored(few, logit, registered, detections.boxes)
-
-    def _scoring_losses(self, features: Tensor, normals: Tensor, batch: Batch) -> dict[str, Mean]:
-        count = len(features)
-        scored = self._score(features, normals, batch.depth[:count], batch.intrinsics[:count])
+    def _scoring_losses(self, images: ImageFeatures, batch: Batch) -> dict[str, Mean]:
+        """Of the images that train the scores: the proposals are those of prediction, without dropout or gradient."""
+        with self.predicting(self.bf16):
+            proposals = self.propose(images)
+        scored = [self.score(image) for image in proposals]
         parts: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
-        told = torch.tensor([float(len(image.hypotheses) > 0) for image in scored]).sum()
+        with_any = torch.tensor([float(len(image.hypotheses) > 0) for image in scored]).sum()
         for image, truth, visibility in zip(scored, batch.poses, batch.visibility, strict=False):
-            few = image.hypotheses
+            found = image.hypotheses
             rotation, center = self.codec.canonical(truth)
-            distances = self.distance.between(few.rotation, few.center, rotation, center)
+            distances = self.distance.between(found.rotation, found.center, rotation, center)
             if self.confidence is not None:
                 right = (distances < self.model.threshold).any(1).float()
-                loss = nn.functional.binary_cross_entropy_with_logits(image.logit, right, reduction="sum")
-                parts["confidence"].append(loss / max(len(few), 1))
+                loss = nn.functional.binary_cross_entropy_with_logits(image.confidence, right, reduction="sum")
+                parts["confidence"].append(loss / max(len(found), 1))
             if image.registered is not None:
                 wanted = registration_targets(
-                    distances, image.logit.detach(), self.model.threshold, visibility < self.config.train.min_visibility
+                    distances,
+                    image.confidence.detach(),
+                    self.model.threshold,
+                    visibility < self.config.train.min_visibility,
                 )
                 weighting = self.config.loss.registration_weights
                 parts["registration"].append(registration_loss(image.registered, wanted, weighting))
-        return {name: Mean.of(torch.stack(few), told) for name, few in parts.items() if few}
-
-    def _ranked(self, scored: _Scored) -> ImagePoses:
-        few, logit = scored.hypotheses, self._final_logit(scored)
-        order = logit.argsort(descending=True, stable=True)
-        few = few.select(order)
-        return ImagePoses(few.rotation, few.center, logit[order].sigmoid(), scored.boxes[few.detection], few.detection)
-
-    def _final_logit(self, scored: _Scored) -> Tensor:
-        """A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own."""
-        if scored.registered is None:
-            return scored.logit
-        return (scored.logit + scored.registered) / 2 if self.confidence is not None else scored.registered
+        return {name: Mean.of(torch.stack(values), with_any) for name, values in parts.items() if values}

@@ -14,6 +14,7 @@ from posenet.network.depth_input import median_depth
 class Regions(NamedTuple):
     """R windows; `valid` is False where no depth returned inside the box, so that no pose can be read there."""
 
+    boxes: Tensor  # (R, 4) what the windows are about, such as a detector's boxes
     windows: Tensor  # (R, 4) half-open pixel boxes
     image_index: Tensor  # (R,)
     reference_depth: Tensor  # (R,) metres
@@ -36,8 +37,8 @@ def make_regions(
     valid = reference > 0
     intrinsics = intrinsics[image_index]
     if config.roi == "box":
-        return Regions(boxes, image_index, reference, intrinsics, valid)
+        return Regions(boxes, boxes, image_index, reference, intrinsics, valid)
     sides = config.roi_scale * diameter * intrinsics[:, :2] / reference.clamp(min=0.05 * diameter)[:, None]
     centers = (boxes[:, :2] + boxes[:, 2:]) / 2
     windows = torch.cat([centers - sides / 2, centers + sides / 2], 1)
-    return Regions(windows, image_index, reference, intrinsics, valid)
+    return Regions(boxes, windows, image_index, reference, intrinsics, valid)

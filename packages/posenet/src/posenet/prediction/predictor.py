@@ -18,12 +18,13 @@ from evalkit.objects.model import ObjectModel
 from posenet.device import choose_device, supports_bf16
 from posenet.models.model_file import load_model
 from posenet.network.depth_input import intrinsics_of, resample
-from posenet.network.pose_network import ImagePoses, PoseNetwork
-from posenet.prediction.ablation import Ablation
+from posenet.network.pose_network import PoseNetwork
+from posenet.network.predict_options import PredictOptions
+from posenet.network.stages import ImagePoses
 from posenet.prediction.any_camera import check_distance, trained_grid, without_nan
 from posenet.refinement.refiner import Refiner
 
-# What refinement is given of an image. It tells two boxes of one instance from two instances, so that it may have both.
+# Refinement tells two boxes of one instance from two instances, so it may have both, and more of them.
 REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
 
 
@@ -36,23 +37,36 @@ class PredictedPoses:
     ]  # (n, 4, 4) metres, from the mesh's own frame to the camera's (x right, z forward)
     score: NDArray[np.float64]  # (n,) in [0, 1]
     boxes: NDArray[np.float64]  # (n, 4) x0, y0, x1, y1 of the detection each comes from, pixels
+    detection: NDArray[np.int64]  # (n,) number of that detection: hypotheses of one detection have the same
     time_s: float  # seconds spent on the image
 
 
 class Predictor:
-    """A trained model, ready to use: ``Predictor.load("model.pt").predict(depth, camera)``."""
+    """A trained model, ready to use: ``Predictor.load("model.pt").predict(depth, camera)``.
 
-    def __init__(self, network: PoseNetwork, record: dict[str, Any] | None = None, refine: bool = False) -> None:
-        self.network, self.record = network.eval(), record or {}
+    The network stays as it is: several predictors may share it.
+    """
+
+    def __init__(
+        self,
+        network: PoseNetwork,
+        record: dict[str, Any] | None = None,
+        refine: bool = False,
+        options: PredictOptions | None = None,
+    ) -> None:
+        self.network, self.record = network, record or {}
         self.refiner = Refiner(network.model) if refine else None
-        if refine:
-            network.detector.max_detections, network.detector.nms_iou = REFINED_DETECTIONS, REFINED_OVERLAP
+        self.options = options or PredictOptions()
+        if refine and self.options.detection is None:
+            own = network.detector.limits
+            limits = replace(own, nms_iou=REFINED_OVERLAP, least=max(REFINED_DETECTIONS, own.least))
+            self.options = replace(self.options, detection=limits)
         self.device = next(network.parameters()).device
-        network.bf16 = supports_bf16(self.device)
+        self.bf16 = supports_bf16(self.device)
 
     @classmethod
     def load(
-        cls, source: Path | str, device: str = "auto", refine: bool = False, ablation: Ablation | None = None
+        cls, source: Path | str, device: str = "auto", refine: bool = False, options: PredictOptions | None = None
     ) -> Predictor:
         """From a model file or a run's folder; `refine` has every pose fitted to the image and verified against it.
 
@@ -60,7 +74,7 @@ class Predictor:
             InputError: there is no usable model, or no such device.
         """
         trained = load_model(source, choose_device(device))
-        return cls((ablation or Ablation()).apply(trained.network), trained.record, refine)
+        return cls(trained.network, trained.record, refine, options)
 
     @property
     def model(self) -> ObjectModel:
@@ -108,23 +122,26 @@ class Predictor:
     def _on_grid(self, depths: list[NDArray[np.float32]], camera: Camera, grid: Camera) -> list[PredictedPoses]:
         images = torch.stack([resample(torch.from_numpy(depth), grid) for depth in depths]).to(self.device)
         intrinsics = intrinsics_of(grid).expand(len(images), 4).to(self.device)
-        return [self._in_mesh_frame(image, camera, grid) for image in self.network.predict(images, intrinsics)]
+        with self.network.predicting(self.bf16):
+            found = self.network.predict(images, intrinsics, self.options)
+        return [self._in_mesh_frame(image, camera, grid) for image in found]
 
     def _in_mesh_frame(self, image: ImagePoses, camera: Camera, grid: Camera) -> PredictedPoses:
         cam_from_obj = self.network.codec.cam_from_obj(image.rotation, image.center)
         scale = np.tile([camera.width / grid.width, camera.height / grid.height], 2)
         boxes = np.minimum(image.box.double().cpu().numpy() * scale, [camera.width, camera.height] * 2)
-        return PredictedPoses(cam_from_obj, image.score.double().cpu().numpy(), boxes, 0.0)
+        score, detection = image.score.double().cpu().numpy(), image.detection.cpu().numpy()
+        return PredictedPoses(cam_from_obj, score, boxes, detection, 0.0)
 
 
-_NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), 0.0)
+_NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros(0, np.int64), 0.0)
 
 
 def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses, camera: Camera) -> PredictedPoses:
     """The poses fitted to the image: one a detection, without duplicates, scored by what the image says of them."""
-    detection = np.unique(found.boxes, axis=0, return_inverse=True)[1].reshape(-1)  # a detection has one box
-    refined = refiner.refine(depth, camera, found.cam_from_obj, found.score, detection)
-    return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[refined.hypothesis], found.time_s)
+    refined = refiner.refine(depth, camera, found.cam_from_obj, found.score, found.detection)
+    row = refined.hypothesis
+    return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[row], found.detection[row], found.time_s)
 
 
 def to_document(model: ObjectModel, images: Iterator[tuple[str, PredictedPoses]]) -> Predictions:

@@ -11,7 +11,7 @@ import torch
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
 from posenet.network.depth_input import intrinsics_of
-from posenet.prediction.ablation import Ablation
+from posenet.network.predict_options import PredictOptions
 from posenet.prediction.predictor import PredictedPoses, Predictor
 
 
@@ -20,18 +20,17 @@ def view(debug_shards: Path) -> View:
     return ShardDataset(debug_shards)[0]
 
 
-def predictor(run_folder: Path, ablation: Ablation) -> Predictor:
-    return Predictor.load(run_folder, "cpu", ablation=ablation)
+def predictor(run_folder: Path, options: PredictOptions) -> Predictor:
+    return Predictor.load(run_folder, "cpu", options=options)
 
 
-def poses_a_box(found: PredictedPoses) -> int:
-    return int(np.unique(found.boxes.round(3), axis=0, return_counts=True)[1].max())
+def poses_a_detection(found: PredictedPoses) -> int:
+    return int(np.bincount(found.detection).max())
 
 
 def test_the_default_switches_nothing_off(run_folder: Path, view: View) -> None:
     whole = Predictor.load(run_folder, "cpu")
-    again = predictor(run_folder, Ablation())
-    assert again.network.config == whole.network.config
+    again = predictor(run_folder, PredictOptions())
     np.testing.assert_array_equal(
         again.predict(view.depth, view.camera).cam_from_obj, whole.predict(view.depth, view.camera).cam_from_obj
     )
@@ -39,29 +38,28 @@ def test_the_default_switches_nothing_off(run_folder: Path, view: View) -> None:
 
 @pytest.mark.parametrize("most", [1, 3])
 def test_so_many_hypotheses_a_detection_at_most(run_folder: Path, view: View, most: int) -> None:
-    few = predictor(run_folder, Ablation(hypotheses=most)).predict(view.depth, view.camera)
-    whole = predictor(run_folder, Ablation()).predict(view.depth, view.camera)
-    assert poses_a_box(few) <= most < poses_a_box(whole)
+    few = predictor(run_folder, PredictOptions(hypotheses=most)).predict(view.depth, view.camera)
+    whole = predictor(run_folder, PredictOptions()).predict(view.depth, view.camera)
+    assert poses_a_detection(few) <= most < poses_a_detection(whole)
     assert set(few.boxes[:, 0]) == set(whole.boxes[:, 0])
 
 
 def test_without_registration_the_score_is_the_confidence(run_folder: Path, view: View) -> None:
-    alone = predictor(run_folder, Ablation(registration=False))
-    assert alone.network.registration is None
-    network = predictor(run_folder, Ablation()).network
+    alone = predictor(run_folder, PredictOptions(registration=False))
+    network = predictor(run_folder, PredictOptions()).network
     depth = torch.from_numpy(view.depth)[None]
     intrinsics = intrinsics_of(view.camera)[None]
     with torch.no_grad():
-        features, normals = network._features(depth, intrinsics)
-        (scored,) = network._score(features, normals, depth, intrinsics)
-    confidence = scored.logit.sigmoid().sort(descending=True).values.numpy()
+        (proposals,) = network.propose(network.encode(depth, intrinsics))
+        scored = network.score(proposals)
+    confidence = scored.confidence.sigmoid().sort(descending=True).values.numpy()
     found = alone.predict(view.depth, view.camera)
     np.testing.assert_allclose(found.score, confidence, atol=1e-4)
 
 
 def test_without_offset_the_box_centre_stands_in(run_folder: Path, view: View) -> None:
-    found = predictor(run_folder, Ablation(offset=False)).predict(view.depth, view.camera)
-    model = predictor(run_folder, Ablation()).model
+    found = predictor(run_folder, PredictOptions(offset=False)).predict(view.depth, view.camera)
+    model = predictor(run_folder, PredictOptions()).model
     projected = view.camera.project(model.centers(found.cam_from_obj))
     middle = found.boxes.reshape(-1, 2, 2).mean(1) - 0.5  # integer pixels are centres, boxes count from corners
     np.testing.assert_allclose(projected, middle, atol=0.02)
