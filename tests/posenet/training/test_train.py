@@ -103,7 +103,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(
         patch.setattr(Trainer, "take_step", stop_at_three)
         with pytest.raises(KeyboardInterrupt):
             fit(stopped)
-    assert not (tmp_path / "stopped" / "model.pt").exists()
+    assert load_model(tmp_path / "stopped").record["images"] == 12
     torch.manual_seed(99)
     resumed = fit(stopped)
     a, b = (load_model(run.path).network.state_dict() for run in (whole, resumed))
@@ -119,8 +119,8 @@ def test_a_finished_run_trains_no_more(debug_shards: Path, tmp_path: Path) -> No
 
 def test_another_run_in_the_same_folder_is_refused(debug_shards: Path, tmp_path: Path) -> None:
     fit(options(debug_shards, tmp_path / "run"))
-    with pytest.raises(InputError, match="differs in epochs"):
-        fit(options(debug_shards, tmp_path / "run", epochs=3))
+    with pytest.raises(InputError, match="differs in seed"):
+        fit(options(debug_shards, tmp_path / "run", seed=3))
 
 
 def test_a_nan_loss_stops_with_a_sentence_and_keeps_the_checkpoint(

@@ -86,8 +86,9 @@ class TrainConfig:
     object_pixels: float = 67.0  # images are reduced until objects are about so large; 0: never
     min_visibility: float = 0.2  # instances seen less than this do not train
     box_jitter: float = 0.08  # of a box's side, uniform
-    augment_noise: float = 0.0  # depth noise added on the fly: its largest standard deviation, in diameters
-    augment_holes: float = 0.0  # holes cut on the fly: their largest share of an image's smooth surface
+    # Errors of depth cameras drawn on the fly, half as large on shards that have a camera's already; both 0: none.
+    augment_noise: float = 0.015  # largest standard deviation of depth, and step of it, in diameters
+    augment_holes: float = 0.05  # largest share of holes on smooth surface
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
     scoring_rate: float = (
@@ -96,8 +97,12 @@ class TrainConfig:
     scoring_start: float = 0.25  # share of the run after which they do
     validation_share: float = 0.05  # of the scenes
     validation_images: int = 48
-    validations: int = 4
-    epochs: int = 20  # when neither --epochs nor --minutes is given
+    validations: int = 8
+    # When neither --epochs nor --minutes is given: so many images or minutes, whichever are over first; without
+    # images (0) so many epochs.
+    images: int = 48_000
+    minutes: float = 45.0
+    epochs: int = 20
     precision: Literal["auto", "32", "bf16"] = "auto"
 
 
@@ -129,7 +134,7 @@ class Config:
 # What files say that were written before there was a choice.
 _BEFORE: dict[str, dict[str, Any]] = {
     "network": {"crop_widths": (32, 64, 64), "crop_layers": 1},
-    "train": {"object_pixels": 0.0},
+    "train": {"object_pixels": 0.0, "images": 0, "validations": 4},
 }
 
 
@@ -172,6 +177,10 @@ def paper() -> Config:
         TrainConfig(
             batch_images=1,
             object_pixels=0.0,
+            augment_noise=0.0,
+            augment_holes=0.0,
+            images=0,
+            validations=4,
             rois_per_image=32,
             optimizer="adam",
             learning_rate=1e-5,
@@ -197,7 +206,15 @@ def debug() -> Config:
             fc_width=256,
             registration_blocks=1,
         ),
-        train=TrainConfig(batch_images=4, box_jitter=0.04, validation_images=8, validations=1),
+        train=TrainConfig(
+            batch_images=4,
+            box_jitter=0.04,
+            augment_noise=0.0,
+            augment_holes=0.0,
+            validation_images=8,
+            validations=1,
+            images=0,
+        ),
     )
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from evalkit.atomic import atomic_path
 
 Rows = Sequence[dict[str, float]]
-POSITION = ("step", "images", "minutes")
+POSITION = ("step", "images", "minutes", "progress")
 
 
 def draw_curves(path: Path | str, history: Rows, validations: Rows, title: str) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +32,7 @@ from posenet.models.model_file import MODEL_FILE, read_torch_file, write_torch_f
 from posenet.runs.curves import draw_curves
 
 RUN_FORMAT = "binpose-run/1"
+LENGTH = ("minutes", "epochs")  # what may change from one command to the next: a longer budget goes on
 Rows = list[dict[str, float]]
 
 
@@ -52,11 +54,17 @@ class RunFolder:
     def checkpoint(self) -> Path:
         return self.path / "checkpoint.pt"
 
-    def claim(self, identity: dict[str, Any], made_by: dict[str, Any]) -> bool:
+    def length(self) -> dict[str, Any]:
+        """The budget (LENGTH) that the run in this folder was last given; nothing where there is no run."""
+        file = self.path / "run.json"
+        return {key: self._read(file).get(key) for key in LENGTH} if file.exists() else {}
+
+    def claim(self, identity: dict[str, Any], length: dict[str, Any], made_by: dict[str, Any]) -> bool:
         """Make the folder this run's own; True if a checkpoint of the same run is there to go on from.
 
         Args:
-            identity: what must be the same for a run to be resumed. made_by: what is noted beside it.
+            identity: what must be the same for a run to be resumed. length: its budget (LENGTH), which may change.
+            made_by: what is noted beside it.
 
         Raises:
             InputError: the folder holds another run.
@@ -64,7 +72,7 @@ class RunFolder:
         """
         file = self.path / "run.json"
         if not file.exists():
-            write_json(file, {"format": RUN_FORMAT, **identity, "made_by": made_by}, indent=1)
+            write_json(file, {"format": RUN_FORMAT, **identity, **length, "made_by": made_by}, indent=1)
             return False
         known, wanted = _comparable(self._read(file)), _comparable(json.loads(json.dumps(identity)))
         different = [key for key in wanted if known.get(key) != wanted[key]]
@@ -76,6 +84,11 @@ class RunFolder:
         self._require_writable()
         return self.checkpoint.exists()
 
+    def note_length(self, length: dict[str, Any]) -> None:
+        """Write down another budget than before; for whoever has the folder locked."""
+        if self.length() != length:
+            write_json(self.path / "run.json", {**self._read(self.path / "run.json"), **length}, indent=1)
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """The folder for this process alone; what a killed one left half-written is removed.
@@ -83,15 +96,18 @@ class RunFolder:
         Raises:
             InputError: another process trains in it.
         """
-        with open(self.path / "run.json", encoding="utf-8") as file:
+        folder = os.open(self.path, os.O_RDONLY)  # not a file in it, which might be replaced
+        try:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise InputError(
                     f"{self.path}: another process is training in this folder; wait for it, or choose another with -o."
                 ) from None
             self._remove_leftovers()
             yield
+        finally:
+            os.close(folder)
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         write_torch_file(self.checkpoint, state)

@@ -21,6 +21,7 @@ class Batches:
 
     def __init__(self, frames: Frames, train: NDArray[np.int64], config: TrainConfig, seed: int, rank: Rank) -> None:
         self.frames, self.train, self.config, self.seed, self.rank = frames, train, config, seed, rank
+        self.degradation = degradation_of(config, frames)
 
     @property
     def steps_per_epoch(self) -> int:
@@ -37,13 +38,17 @@ class Batches:
         numbers, share = self.frame_numbers(step), self.rank.share
         seeds = step_seeds(self.seed, step, numbers)
         torch.manual_seed(step_seeds(self.seed, step, np.array([self.rank.index]))[0])  # dropout draws globally
-        batch = self.frames.batch(share(numbers), share(seeds)).to(device)
-        bounds = Degradation(self.config.augment_noise, self.config.augment_holes)
-        if not any(bounds):
-            return batch
-        diameter = self.frames.model.diameter
-        images = [
-            degrade(image, bounds, diameter, generator_of(self.seed, step, number))
-            for number, image in zip(share(range(len(numbers))), batch.depth, strict=True)
-        ]
-        return batch._replace(depth=torch.stack(images))
+        batch = self.frames.batch(share(numbers), share(seeds))
+        generators = (generator_of(self.seed, step, number) for number in share(range(len(numbers))))
+        images = [self._degraded(*image) for image in zip(batch.depth, generators, strict=True)]
+        return batch._replace(depth=torch.stack(images)).to(device)
+
+    def _degraded(self, depth: torch.Tensor, generator: np.random.Generator) -> torch.Tensor:
+        frames, bounds = self.frames, self.degradation
+        return torch.from_numpy(degrade(depth.numpy(), bounds, frames.model.diameter, frames.camera.fx, generator))
+
+
+def degradation_of(config: TrainConfig, frames: Frames) -> Degradation:
+    """How far images are degraded: on shards that carry a sensor's errors already, half as far."""
+    bounds = Degradation(config.augment_noise, config.augment_holes)
+    return bounds.times(0.5) if frames.sensor is not None else bounds

@@ -47,6 +47,12 @@ class Frames:
     def model(self) -> ObjectModel:
         return self.dataset.header.object
 
+    @property
+    def sensor(self) -> str | None:
+        """The camera whose errors the shards' depth has; None for ideal depth."""
+        sensor = self.dataset.header.config.get("sensor")
+        return str(sensor.get("model", "some")) if isinstance(sensor, dict) else None
+
     def on_grid_of(self, camera: Camera) -> Frames:
         """The same frames as images of another camera of the same views."""
         other = copy(self)

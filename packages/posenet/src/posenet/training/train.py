@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from posenet.network.backbone import load_vgg16_weights
 from posenet.network.pose_network import PoseNetwork
 from posenet.runs.provenance import data_hash, git_version, shard_hashes, software_versions
 from posenet.runs.run_folder import RunFolder
+from posenet.training.batches import degradation_of
 from posenet.training.dataset import Frames, Split
 from posenet.training.fit_options import FitOptions
 from posenet.training.processes import Rank, processes
@@ -35,16 +37,18 @@ def fit(options: FitOptions) -> RunFolder:
     """Train, or go on training; returns the run's folder, with the best model in it.
 
     Raises:
-        InputError: the shards, the options or the folder cannot be used, or the loss became NaN.
+        InputError: the shards, the options or the folder cannot be used, nothing is learnt, or the loss became NaN.
         OSError: the folder cannot be written, or its disk is full.
         KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
     """
     device = choose_device(options.device, options.devices)
     frames, split, network = _prepared(options, intact_frames(options.shards))
     run = RunFolder(options.out)
-    resuming = run.claim(_identity(options, frames), _made_by(options, frames))
+    options = _with_length(options, run)
+    resuming = run.claim(_identity(options, frames), _length(options), _made_by(options, frames))
     follow = partial(_follow, options, resuming)
     with run.locked(), _reproducible(device), processes(options.devices, follow) as rank:
+        run.note_length(_length(options))
         _train(Trainer(network, frames, split, run, options, rank), resuming)
     return run
 
@@ -90,6 +94,9 @@ def _at_working_scale(frames: Frames, options: FitOptions, distance: float) -> F
         "Images: %d x %d, read as %d x %d (--scale %.3g): %s.",
         stored.width, stored.height, camera.width, camera.height, scale.factor, scale.reason,
     )  # fmt: skip
+    if any(degradation_of(options.config.train, frames)):
+        have = f"the shards have those of '{frames.sensor}', so half of" if frames.sensor else "up to"
+        log.info("Sensor errors: drawn on the fly, %s what a bad stereo camera makes (--augment off for none).", have)
     return frames.on_grid_of(camera)
 
 
@@ -122,13 +129,22 @@ def _identity(options: FitOptions, frames: Frames) -> dict[str, Any]:
     return {
         "config": options.config.to_json(),
         "seed": options.seed,
-        "minutes": options.minutes,
-        "epochs": options.epochs,
         "validate": options.validate,
         "scale": options.scale,
         "backbone_weights": sha256_of_file(weights) if weights is not None else None,
         "data": {"sha256": data_hash(frames.dataset), "shards": shard_hashes(frames.dataset)},
     }
+
+
+def _length(options: FitOptions) -> dict[str, Any]:
+    """How long it trains; a run may be given more of it."""
+    return {"minutes": options.minutes, "epochs": options.epochs}
+
+
+def _with_length(options: FitOptions, run: RunFolder) -> FitOptions:
+    """The options with the run's own budget where none is given."""
+    given = options.minutes is not None or options.epochs is not None
+    return options if given else replace(options, **run.length())
 
 
 def _made_by(options: FitOptions, frames: Frames) -> dict[str, Any]:

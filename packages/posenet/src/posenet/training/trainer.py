@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -15,19 +17,23 @@ from evalkit.errors import InputError
 from posenet.device import choose_device, supports_bf16
 from posenet.models.model_file import save_model
 from posenet.network.pose_network import PoseNetwork
-from posenet.optimizers.schedule import Budget
+from posenet.optimizers.schedule import HASTE, Budget
 from posenet.runs.history import ROW_EVERY, History
-from posenet.runs.provenance import data_hash, git_version, software_versions
 from posenet.runs.run_folder import RunFolder
 from posenet.training.batches import Batches
 from posenet.training.dataset import Frames, Split
 from posenet.training.fit_options import FitOptions
+from posenet.training.forecast import Forecast
 from posenet.training.interruption import Interruption
 from posenet.training.learner import Learner, NotFiniteError, StepLosses
+from posenet.training.plateau import learns_nothing, no_longer_rises
 from posenet.training.processes import ALONE, Rank
+from posenet.training.record import training_record
 from posenet.training.slowdown import Slowdown
 from posenet.training.validation import validate
 from posenet.training.validation_picture import draw_validation
+
+log = logging.getLogger(__name__)
 
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}, {postfix}"
 
@@ -58,14 +64,16 @@ class Trainer:
         self.batches = Batches(frames, split.train, self.config, options.seed, rank)
         self.step, self.images, self.best_ap, self.finished = 0, 0, -1.0, False
         self.validations: list[dict[str, float]] = []
-        self.history, self.slowdown = History(), Slowdown()
+        self.validations_due, self.warned = 0, False
+        self.history, self.slowdown, self.forecast = History(), Slowdown(), Forecast()
         self.budget = self._budget()
 
     def train(self) -> None:
         """Run to the end of the budget; a finished run trains no more.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
+            KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved, and a model if there is none yet.
+            InputError: nothing is learnt, or the loss became NaN.
         """
         if self.finished:
             return
@@ -78,6 +86,9 @@ class Trainer:
             except KeyboardInterrupt:
                 with interruption.held():
                     self.save()
+                    if self.step and not self.run.model.exists():
+                        with self.learner.averaged():
+                            self._keep_models(better=True)
                 raise
 
     def take_step(self, progress: float) -> None:
@@ -101,6 +112,10 @@ class Trainer:
                 "validations": self.validations,
                 "history": self.history.rows,
                 "finished": self.finished,
+                "validations_due": self.validations_due,
+                "warned": self.warned,
+                "hurried_from": self.budget.hurried_from,
+                "budget": self.budget.length,
                 **self.learner.state(),
             }
         )
@@ -111,7 +126,28 @@ class Trainer:
         self.step, self.images, self.best_ap = state["step"], state["images"], state["best_ap"]
         self.validations, self.finished = state["validations"], state["finished"]
         self.history.rows = state.get("history", [])
+        self.validations_due = state.get("validations_due", len(self.validations))
+        self.warned = state.get("warned", False)
         self.budget.spent_before = state["seconds"]
+        if state.get("budget", self.budget.length) == self.budget.length:
+            self.budget.hurried_from = state.get("hurried_from")
+        else:
+            self._extend()
+
+    def _extend(self) -> None:
+        """Go on with another budget than the one so far."""
+        if self.budget.progress(self.step) >= 1.0:
+            raise InputError(
+                f"{self.run.path}: has trained for {self.budget.seconds / 60:.1f} minutes, {self.images} images "
+                "already; give more than that in all, as in --minutes "
+                f"{math.ceil(self.budget.seconds / 60) * 2:g}."
+            )
+        self.finished = False
+        self.validations_due = self._due()
+
+    def _due(self) -> int:
+        """How many validations the run should have made."""
+        return int(self.budget.progress(self.step) * self.config.validations)
 
     def _follow(self) -> None:
         """Take the leader's steps with it."""
@@ -131,6 +167,7 @@ class Trainer:
             validated = self._validation_due()
             if validated:
                 self._validate(interruption)
+                self._judge(interruption)
             if validated or time.monotonic() - saved > self.options.checkpoint_seconds:
                 with interruption.held():
                     self.save()
@@ -143,10 +180,12 @@ class Trainer:
         return self.rank.from_leader(self.budget.progress(self.step), self.fabric.device)
 
     def _budget(self) -> Budget:
-        if self.options.minutes is not None:
-            return Budget(minutes=self.options.minutes)
-        epochs = self.options.epochs or self.config.epochs
-        return Budget(steps=epochs * self.batches.steps_per_epoch)
+        options, config = self.options, self.config
+        if options.minutes is not None:
+            return Budget(minutes=options.minutes)
+        if options.epochs is None and config.images:
+            return Budget(steps=max(1, config.images // config.batch_images), minutes=config.minutes)
+        return Budget(steps=(options.epochs or config.epochs) * self.batches.steps_per_epoch)
 
     @contextmanager
     def _not_finite_as_a_sentence(self) -> Iterator[None]:
@@ -168,11 +207,18 @@ class Trainer:
             self.logger.log_metrics({**values, **rates}, self.step)
 
     def _position(self) -> dict[str, float]:
-        return {"step": self.step, "images": self.images, "minutes": self.budget.seconds / 60}
+        return {
+            "step": self.step,
+            "images": self.images,
+            "minutes": self.budget.seconds / 60,
+            "progress": self.budget.progress(self.step),
+        }
 
     def _show(self, bar: tqdm[Any]) -> None:
         ap = f", AP {self.validations[-1]['ap']:.3f}" if self.validations else ""
         rate = self.history.rate * self.config.batch_images
+        if sentence := self.forecast.after_step(self.budget, self.step, self.config.batch_images):
+            log.info(sentence)
         if warning := self.slowdown.warning(rate):
             bar.write(warning, file=sys.stderr)
         bar.n = 100.0 * self.budget.progress(self.step)
@@ -182,8 +228,7 @@ class Trainer:
     def _validation_due(self) -> bool:
         if len(self.split.validation) == 0:
             return False
-        due = int(self.budget.progress(self.step) * self.config.validations)
-        return due > len(self.validations) and due < self.config.validations
+        return self.validations_due < self._due() < self.config.validations
 
     def _validate(self, interruption: Interruption) -> None:
         """Measure AP, then note it and keep the models; what is interrupted while measuring is measured again."""
@@ -193,11 +238,30 @@ class Trainer:
             picture = draw_validation(self.network, self.frames, int(self.split.validation[0]), self.fabric.device)
             with interruption.held():
                 seconds = time.monotonic() - started
-                self.validations.append({**self._position(), "ap": result.ap, "validation_seconds": seconds})
+                self.validations_due = self._due()
+                self.validations.append({**self._position(), **result._asdict(), "validation_seconds": seconds})
                 self._keep_models(better=result.ap >= self.best_ap)
                 self.run.write_progress(self.history.rows, self.validations)
                 self.logger.log_metrics({"validation/ap": result.ap}, self.step)
                 self.logger.experiment.add_image("validation/poses", picture, self.step, dataformats="HWC")
+
+    def _judge(self, interruption: Interruption) -> None:
+        """Make haste when held-out AP no longer rises; stop, once, when nothing is learnt."""
+        if self.config.schedule != "one-cycle":
+            return
+        if self.budget.hurried_from is None and no_longer_rises(self.validations):
+            self.budget.hurry(self.step)
+            log.info("Held-out AP no longer rises: the rest of the schedule goes %g times faster.", HASTE)
+        problem = learns_nothing(self.validations[-1])
+        if problem and not self.warned:
+            self.warned = True
+            with interruption.held():
+                self.save()
+            raise InputError(
+                f"{self.run.path}: {problem}, so it stops here instead of spending the rest of its time; look at the "
+                "shards with 'simgen preview' (are objects to be seen, is the depth in metres?), at curves.png in the "
+                "run's folder, and try a lower --learning-rate; the same command again goes on regardless."
+            )
 
     def _finish(self, interruption: Interruption) -> None:
         if len(self.split.validation):
@@ -214,24 +278,8 @@ class Trainer:
     def _keep_models(self, better: bool) -> None:
         """Write the last model, and the best one where this one is `better`."""
         ap = self.validations[-1]["ap"] if self.validations else None
-        record = self._record(ap)
+        record = training_record(self.options, self.frames.dataset, len(self.split.validation), ap, **self._position())
         save_model(self.run.last, self.network, record)
         if better:
             self.best_ap = ap if ap is not None else self.best_ap
             save_model(self.run.model, self.network, record)
-
-    def _record(self, ap: float | None) -> dict[str, Any]:
-        return {
-            "preset": self.options.config.preset,
-            "seed": self.options.seed,
-            "step": self.step,
-            "images": self.images,
-            "minutes": round(self.budget.seconds / 60, 2),
-            "validation_ap": ap,
-            "validation_images": len(self.split.validation),
-            "protocol": "Sym, Siléane protocol, at least 50 % visible, scenes held out of the training shards",
-            "data_sha256": data_hash(self.frames.dataset),
-            "command": self.options.command,
-            "git": git_version(),
-            "software": software_versions(),
-        }

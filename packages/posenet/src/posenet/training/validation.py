@@ -1,34 +1,53 @@
-"""AP on frames that the network does not train on, by evalkit's own protocol."""
+"""AP on frames that the network does not train on, by evalkit's own protocol; and how many boxes it finds there."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
-from evalkit.scoring.evaluation import Result, average_precision
+from evalkit.scoring.evaluation import average_precision
+from posenet.layers.ops import box_iou
 from posenet.network.pose_network import PoseNetwork
 from posenet.training.dataset import Frames
 
 BATCH = 4
+SEEN, OVERLAP = 0.5, 0.5  # an instance so visible is found by a box of such an IoU
+
+
+class Validation(NamedTuple):
+    """What a network does on held-out frames."""
+
+    ap: float  # Sym, Siléane protocol, at least half visible
+    box_recall: float  # share of the instances at least half visible whose box some hypothesis comes from
 
 
 @torch.no_grad()
-def validate(network: PoseNetwork, frames: Frames, numbers: NDArray[np.int64], device: torch.device) -> Result:
-    """Sym AP (Siléane protocol, at least half visible) of the network on the frames `numbers`."""
+def validate(network: PoseNetwork, frames: Frames, numbers: NDArray[np.int64], device: torch.device) -> Validation:
+    """Measure the network on the frames `numbers`."""
     network.eval()
-    truth, found = [], []
+    truth, found, hits = [], [], []
     for start in range(0, len(numbers), BATCH):
         some = numbers[start : start + BATCH]
         batch = frames.batch(some).to(device)
-        for number, image in zip(some, network.predict(batch.depth, batch.intrinsics), strict=True):
-            reader, row = frames.dataset.locate(int(number))
-            labels = reader.labels(row)
-            name = reader.image_id(row)
-            truth.append(
-                GroundTruthImage(name, frames.stored_camera, labels.cam_from_obj, labels.visibility.astype(float))
-            )
+        for row, image in enumerate(network.predict(batch.depth, batch.intrinsics)):
+            reader, frame = frames.dataset.locate(int(some[row]))
+            labels = reader.labels(frame)
+            name, visibility = reader.image_id(frame), labels.visibility.astype(float)
+            truth.append(GroundTruthImage(name, frames.stored_camera, labels.cam_from_obj, visibility))
             poses = network.codec.cam_from_obj(image.rotation, image.center)
             found.append(PredictionImage(name, poses, image.score.double().cpu().numpy()))
-    return average_precision(Predictions(frames.model.name, found), GroundTruth(frames.model, truth))
+            hits.append(_boxes_found(batch.boxes[row][batch.visibility[row] >= SEEN], image.box))
+    result = average_precision(Predictions(frames.model.name, found), GroundTruth(frames.model, truth))
+    return Validation(result.ap, float(torch.cat(hits).float().mean()) if hits else 0.0)
+
+
+def _boxes_found(wanted: Tensor, boxes: Tensor) -> Tensor:
+    """Which of the boxes (n, 4) one of (m, 4) matches."""
+    if len(boxes) == 0:
+        return torch.zeros(len(wanted), dtype=torch.bool, device=wanted.device)
+    return box_iou(wanted, boxes).amax(1) >= OVERLAP
