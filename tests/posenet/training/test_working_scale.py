@@ -43,7 +43,7 @@ def test_objects_are_never_larger_than_the_network_likes_and_images_never_enlarg
     size = working.fx * DIAMETER
     assert scale.factor <= 1.0 and size <= TOLERATED * WANTED * 1.01
     if pixels > TOLERATED * WANTED:
-        assert size == pytest.approx(WANTED, rel=0.01)
+        assert size == pytest.approx(WANTED, rel=0.07)
     else:
         assert working == camera
 

@@ -225,6 +225,10 @@ class Trainer:
         bar.set_postfix_str(f"loss {self.history.mean:.2f}, {self.images} images, {rate:.1f}/s{ap}", refresh=False)
         bar.update(0)
 
+    def _validated_now(self) -> bool:
+        """Whether the last validation was of the weights as they are."""
+        return bool(self.validations) and self.validations[-1]["step"] == self.step
+
     def _validation_due(self) -> bool:
         if len(self.split.validation) == 0:
             return False
@@ -264,7 +268,7 @@ class Trainer:
             )
 
     def _finish(self, interruption: Interruption) -> None:
-        if len(self.split.validation):
+        if len(self.split.validation) and not self._validated_now():
             self._validate(interruption)
         with interruption.held():
             if not len(self.split.validation):

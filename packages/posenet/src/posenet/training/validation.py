@@ -16,7 +16,7 @@ from posenet.network.pose_network import PoseNetwork
 from posenet.training.dataset import Frames
 
 BATCH = 4
-SEEN, OVERLAP = 0.5, 0.5  # an instance so visible is found by a box of such an IoU
+SEEN, OVERLAP = 0.5, 0.7  # an instance so visible is found by a box of such an IoU, which chance boxes seldom have
 
 
 class Validation(NamedTuple):

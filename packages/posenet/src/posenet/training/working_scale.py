@@ -8,6 +8,7 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 
 LEAST_PIXELS = 6.0  # an object smaller than this shows nothing of its pose
+NEAR = 0.06  # such a share off, a simple fraction is as good
 TOLERATED = 1.2  # times the wanted size: so much larger, images are left as they are
 
 
@@ -56,4 +57,10 @@ def choose_scale(
         return WorkingScale(1.0, f"the preset takes images as they are; {seen}")
     if size <= TOLERATED * wanted:
         return WorkingScale(1.0, f"{seen}, and {wanted:g} are enough for the network")
-    return WorkingScale(wanted / size, f"{seen}, and about {wanted:g} train fastest")
+    return WorkingScale(_simple(wanted / size), f"{seen}, and about {wanted:g} train fastest")
+
+
+def _simple(factor: float) -> float:
+    """A half, a third and so on where that is near: each new pixel's ray is then exactly an old one's."""
+    whole = round(1 / factor)
+    return 1 / whole if abs(factor * whole - 1.0) < NEAR else factor
