@@ -45,7 +45,7 @@ def main() -> None:
 class Pipeline:
     """The way from a mesh to a score, in one folder."""
 
-    object: str
+    mesh: str  # its file, or the name of a built-in object
     out: Path
     minutes: dict[str, float] = field(default_factory=dict)  # spent, by step
 
@@ -54,7 +54,7 @@ class Pipeline:
         return self.out / "run"
 
     def build_training_scenes(self, scenes: int | None = None) -> None:
-        self._run("build", "simgen", "build", "--object", self.object, *_given("--scenes", scenes),
+        self._run("build", "simgen", "build", "--object", self.mesh, *_given("--scenes", scenes),
                   "-o", self.out / "shards")  # fmt: skip
 
     def fit(self, minutes: float | None = None) -> None:
@@ -63,7 +63,7 @@ class Pipeline:
     def build_test_scenes(self, sensor: str = "ideal") -> Path:
         """Scenes of another seed, seen by a camera of that kind."""
         test = self.out / f"test-{sensor}"
-        self._run("test scenes", "simgen", "build", "--object", self.object, "--scenes", TEST_SCENES,
+        self._run("test scenes", "simgen", "build", "--object", self.mesh, "--scenes", TEST_SCENES,
                   "--views", TEST_VIEWS, "--seed", TEST_SEED, "--sensor", sensor, "-o", test)  # fmt: skip
         self._run("test scenes", "evalkit", "gt", test, "-o", self.out / f"gt-{sensor}.json")
         return test

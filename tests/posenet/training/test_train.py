@@ -185,6 +185,12 @@ def test_one_cycle_rises_then_falls_to_nearly_nothing() -> None:
     assert factors[-1] < 1e-3 and (np.diff(factors[10:]) <= 0).all()
 
 
+def test_a_trapezoid_rises_stays_and_falls_to_nearly_nothing() -> None:
+    factors = np.array([learning_rate_factor(p, "trapezoid", 0.1, 0.4) for p in np.linspace(0, 1, 101)])
+    assert (np.diff(factors[:10]) > 0).all() and (np.diff(factors[61:]) < 0).all()
+    assert np.allclose(factors[11:60], 1.0, atol=1e-3) and factors[-1] < 1e-3
+
+
 def test_cosine_begins_at_its_peak_and_constant_stays_there() -> None:
     cosine = [learning_rate_factor(p, "cosine", 0.1) for p in np.linspace(0, 1, 101)]
     assert cosine[0] == max(cosine) == pytest.approx(1.0, abs=1e-3)

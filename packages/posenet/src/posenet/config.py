@@ -15,7 +15,7 @@ from evalkit.typed import typed
 
 TASKS = ("offset", "depth", "rotation")
 OPTIMIZERS = ("adam", "adamw", "muon")
-SCHEDULES = ("one-cycle", "cosine", "constant")
+SCHEDULES = ("trapezoid", "one-cycle", "cosine", "constant")
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,11 @@ class TrainConfig:
     batch_images: int = 8
     rois_per_image: int = 16
     optimizer: Literal["adam", "adamw", "muon"] = "muon"
-    learning_rate: float = 2e-3
+    learning_rate: float = 1.5e-3
     weight_decay: float = 1e-2
-    schedule: Literal["one-cycle", "cosine", "constant"] = "one-cycle"
-    warmup: float = 0.08  # share of the run until the peak of one-cycle and constant; cosine begins at its peak
+    schedule: Literal["trapezoid", "one-cycle", "cosine", "constant"] = "trapezoid"
+    warmup: float = 0.08  # share of the run until the peak; cosine begins at its peak
+    decay: float = 0.45  # share of the run in which trapezoid falls
     ema: float = 0.0  # decay of the moving average of the weights that is validated and kept; 0: none
     clip_gradient: float = 20.0
     object_pixels: float = 67.0  # images are reduced until objects are about so large; 0: never

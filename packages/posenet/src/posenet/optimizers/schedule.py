@@ -48,10 +48,11 @@ class Budget:
         return {"steps": self.steps, "minutes": self.minutes}
 
 
-def learning_rate_factor(progress: float, schedule: str, warmup: float) -> float:
+def learning_rate_factor(progress: float, schedule: str, warmup: float, decay: float = 1.0) -> float:
     """The share of the peak learning rate at `progress`.
 
-    `one-cycle` rises linearly and falls as a cosine, `cosine` only falls, `constant` only rises.
+    `trapezoid` rises linearly, stays, and falls linearly in the last `decay` of the run; `one-cycle` rises linearly and
+    falls as a cosine, `cosine` only falls, `constant` only rises.
     """
     if schedule == "cosine":
         return _falling(progress)
@@ -59,6 +60,8 @@ def learning_rate_factor(progress: float, schedule: str, warmup: float) -> float
         return 0.04 + 0.96 * progress / warmup
     if schedule == "constant":
         return 1.0
+    if schedule == "trapezoid":
+        return min(1.0, (1.0 - progress) / decay) + 1e-4
     return _falling((progress - warmup) / (1.0 - warmup))
 
 

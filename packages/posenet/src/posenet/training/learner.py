@@ -74,7 +74,7 @@ class Learner:
 
     def learning_rate_factor(self, progress: float) -> float:
         """The share of the peak learning rate at `progress`."""
-        return learning_rate_factor(progress, self.config.schedule, self.config.warmup)
+        return learning_rate_factor(progress, self.config.schedule, self.config.warmup, self.config.decay)
 
     def averaged(self) -> AbstractContextManager[None]:
         """Within the block the network has the weights to validate and keep: the moving average, where there is one."""

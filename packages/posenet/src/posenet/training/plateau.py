@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 Rows = Sequence[dict[str, float]]
 
-# In the first half of one-cycle AP jumps about near zero, whatever comes of it.
+# In the first half, at the peak of the learning rate, AP jumps about near zero, whatever comes of it.
 FIRST_JUDGED = 0.5
 LEAST_RISE = 0.005
 PERFECT = 0.995

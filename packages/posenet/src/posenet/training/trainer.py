@@ -251,7 +251,7 @@ class Trainer:
 
     def _judge(self, interruption: Interruption) -> None:
         """Make haste when held-out AP no longer rises; stop, once, when nothing is learnt."""
-        if self.config.schedule != "one-cycle":
+        if self.config.schedule == "constant":
             return
         if self.budget.hurried_from is None and no_longer_rises(self.validations):
             self.budget.hurry(self.step)
