@@ -31,6 +31,7 @@ from evalkit.objects.symmetry import Symmetry
 from simgen.building.build import build, build_shard
 from simgen.commands.cli import cli
 from simgen.config import PRESETS, BinSize, BuildConfig, PileConfig, debug, default_camera
+from simgen.physics.distribution import bullet_version
 from simgen.scenes.job import Job
 from simgen.scenes.plan import depth_unit_for, plan
 from simgen.scenes.render import SceneRenderer
@@ -102,7 +103,7 @@ def test_labels_obey_their_laws(built: Path) -> None:
 def test_the_header_tells_how_it_was_made(built: Path) -> None:
     header = ShardDataset(built).header
     assert header.config["scenes"] == 5 and header.config["bin"]["width"] > 0.1
-    assert header.software.keys() >= {"binpose-simgen", "pybullet", "numpy"}
+    assert header.software.keys() >= {"binpose-simgen", *bullet_version(), "numpy"} and bullet_version()
     assert header.object.name == "angle" and header.depth_unit == 1e-4
     assert read_dataset_file(built)["shards"][-1] == {"name": shard_name(2), "scenes": [4, 5]}
 
