@@ -1,12 +1,16 @@
-# Everything a newcomer types. Needs Linux x86-64, Python 3.10 or 3.11 with venv, and make; nothing else.
+# Everything a newcomer types. Needs Linux x86-64, Python 3.10 to 3.13 with venv, and make; nothing else.
 
-PYTHON ?= $(shell for p in python3.11 python3.10 python3; do \
-	$$p -c 'import sys, venv; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))' 2>/dev/null && echo $$p && break; done)
+SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+# The machine's own python3 where it will do, else the newest that will.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.10; do \
+	$$p -c '$(SUITABLE)' 2>/dev/null && echo $$p && break; done)
+REQUIREMENTS ?= -r requirements-dev.txt
+CONSTRAINTS ?= -c constraints.txt
 BIN := .venv/bin
 PACKAGES := evalkit simgen posenet
 STAMP := .venv/.installed
 
-.PHONY: help demo test test-all lint bench docs install clean
+.PHONY: help demo test test-all lint bench docs install wheels version clean
 .DEFAULT_GOAL := help
 
 help: ## list these targets
@@ -14,12 +18,12 @@ help: ## list these targets
 
 install: $(STAMP) ## make .venv and install the three packages into it
 
-$(STAMP): $(PACKAGES:%=packages/%/pyproject.toml) requirements-dev.txt
-	@test -n "$(PYTHON)" || { echo "Error: Python 3.10 or 3.11 with venv is needed (PyBullet has no wheels for later versions): install one and run 'make PYTHON=/path/to/python3.11'." >&2; exit 2; }
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))' || { echo "Error: $(PYTHON) is not Python 3.10 or 3.11, the versions that PyBullet has wheels for: run 'make PYTHON=/path/to/python3.11'." >&2; exit 2; }
+$(STAMP): $(PACKAGES:%=packages/%/pyproject.toml) requirements-dev.txt constraints.txt
+	@test -n "$(PYTHON)" || { echo "Error: Python 3.10 to 3.13 with venv is needed: install one (on Debian and Ubuntu: apt install python3-venv) and run 'make PYTHON=/path/to/python3'." >&2; exit 2; }
+	@$(PYTHON) -c '$(SUITABLE)' || { echo "Error: $(PYTHON) is not Python 3.10 to 3.13 with venv, which the physics engine has wheels for: run 'make PYTHON=/path/to/python3'." >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet $(PACKAGES:%=-e packages/%) -r requirements-dev.txt
+	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) $(PACKAGES:%=-e packages/%) $(REQUIREMENTS)
 	@touch $@
 
 demo: $(STAMP) ## bunny mesh -> piles -> training -> poses -> AP and pictures, about a quarter of an hour
@@ -44,5 +48,13 @@ docs: $(STAMP) ## the documentation as a site in site/, every link checked
 	$(BIN)/python docs/scripts/command_reference.py docs/commands.md
 	PYTHONPATH=docs/scripts $(BIN)/python -m zensical build --strict --clean
 
-clean: ## remove what the demo and the documentation made
-	rm -rf demo site docs/errors.md docs/commands.md
+wheels: $(STAMP) ## the three packages as wheels in dist/
+	rm -rf dist $(PACKAGES:%=packages/%/build)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist $(PACKAGES:%=./packages/%)
+	@ls dist
+
+version: ## write the version in VERSION wherever it is stated
+	python3 tools/version.py
+
+clean: ## remove what the demo, the documentation and the wheels made
+	rm -rf demo site docs/errors.md docs/commands.md dist
