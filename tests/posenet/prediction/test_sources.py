@@ -133,3 +133,55 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=says) as caught:
             open_source(path, camera_file, 1e-4 if camera_file else None).read(0)
         assert "\n" not in str(caught.value)
+
+
+def write_bop(folder: Path) -> Path:
+    """A split of two scenes, whose images have different cameras and scales of depth."""
+    for scene in (1, 2):
+        here = folder / "test" / f"{scene:06d}"
+        (here / "depth").mkdir(parents=True)
+        cameras = {}
+        for image in (0, 3):
+            matrix = [CAMERA.fx + image, 0, CAMERA.cx, 0, CAMERA.fy, CAMERA.cy, 0, 0, 1]
+            cameras[str(image)] = {"cam_K": matrix, "depth_scale": 0.1 * scene}
+            raw = np.round(depth_image(10 * scene + image) / (1e-4 * scene)).astype(np.uint16)
+            cv2.imwrite(str(here / "depth" / f"{image:06d}.png"), raw)
+        (here / "scene_camera.json").write_text(json.dumps(cameras))
+    targets = [{"scene_id": 2, "im_id": 3, "obj_id": 1, "inst_count": 1}]
+    (folder / "test_targets_bop19.json").write_text(json.dumps(targets))
+    return folder
+
+
+def test_a_bop_split_or_scene_is_read_with_each_images_camera_and_scale(tmp_path: Path) -> None:
+    dataset = write_bop(tmp_path / "set")
+    source = open_source(dataset / "test")
+    assert source.names == ["000001-000000", "000001-000003", "000002-000000", "000002-000003"]
+    assert [camera.fx for camera in source.cameras] == [CAMERA.fx, CAMERA.fx + 3] * 2
+    for number, seed in enumerate((10, 13, 20, 23)):
+        np.testing.assert_allclose(source.read(number), depth_image(seed), atol=1.1e-4)
+    assert open_source(dataset / "test" / "000002").names == source.names[2:]
+    targets = dataset / "test_targets_bop19.json"
+    for folder in (dataset, dataset / "test", dataset / "test" / "000002"):
+        assert open_source(folder, targets=targets).names == ["000002-000003"]
+
+
+def test_a_bop_folder_without_cameras_is_refused(tmp_path: Path) -> None:
+    scene = write_bop(tmp_path / "set") / "test" / "000001"
+    (scene / "scene_camera.json").rename(scene / "scene_gt.json")
+    for folder in (scene, scene.parent):
+        if folder != scene:
+            (folder / "000002" / "scene_camera.json").unlink()
+        with pytest.raises(InputError, match=r"without scene_camera\.json"):
+            open_source(folder)
+    assert len(open_source(scene / "depth", write_camera(tmp_path), 1e-4).names) == 2
+    with pytest.raises(InputError, match="--targets"):
+        open_source(scene / "depth", write_camera(tmp_path), 1e-4, targets=tmp_path / "targets.json")
+
+
+def test_a_camera_beside_a_folders_images_is_taken_and_that_is_said(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "images")
+    (folder / "camera.json").write_text(json.dumps(CAMERA.to_json() | {"depth_scale": 0.1}))
+    source = open_source(folder)
+    assert source.camera == CAMERA
+    np.testing.assert_allclose(source.read(0), depth_image(1), atol=0.51e-4)
+    assert "camera.json" in source.remarks[0]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import sys
+from pathlib import Path
 from typing import Any
 
 import click
@@ -32,6 +34,11 @@ class Commands(click.Group):
         except KeyboardInterrupt:
             click.echo("\nInterrupted; what was finished is kept, run the same command again to go on.", err=True)
             ctx.exit(EXIT_INTERRUPTED)
+
+
+def suggest_next(*words: str | Path) -> None:
+    """Print the command to type next, on stderr, so that what a command prints as its result can be piped on."""
+    click.echo(f"Next: {shlex.join(map(str, words))}", err=True)
 
 
 def describe_os_error(error: OSError) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from evalkit.commands.group import Commands
+from evalkit.errors import InputError
 from posenet.commands.log import show_log
 from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, TrainConfig, preset, with_options
 
@@ -22,7 +23,7 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("shards", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("shards", nargs=-1, type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/OBJECT-PRESET]")
 @click.option("--preset", "preset_name", type=click.Choice(list(PRESETS)), default="small", show_default=True)
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Train for so long, in all.")
@@ -77,6 +78,8 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
     Run the same command again to resume a run that was stopped; give more --minutes (in all) to go on with one that
     has ended. Ctrl-C keeps the state, and the best model so far.
     """
+    if not shards:
+        raise InputError("Missing SHARDS: give the folder that 'simgen build' wrote (shards/), or some of its files.")
     if options["minutes"] is not None and options["epochs"] is not None:
         raise click.UsageError("Give --minutes or --epochs, not both.")
     from posenet.training.fit_options import FitOptions
@@ -128,12 +131,31 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), default="preds.json", show_default=True)
+@click.argument("source", required=False, type=click.Path(path_type=Path))
 @click.option(
-    "--camera", "camera_file", type=click.Path(path_type=Path), help="Camera of depth images: our JSON, BOP or ROS."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    default="preds.json",
+    show_default=True,
+    help="preds.json, or BOP's results as .csv.",
 )
+@click.option(
+    "--camera",
+    "camera_file",
+    type=click.Path(path_type=Path),
+    help="Of image files: ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
+)
+@click.option("--rectified", is_flag=True, help="The images were rectified: no lens, and P of a camera_info.")
 @click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
+@click.option("--no-return", type=float, help="Stored value that means no return.  [default: saturated ones]")
+@click.option(
+    "--depth-along", type=click.Choice(["axis", "ray"]), default="axis", show_default=True, help="What depth measures."
+)
+@click.option("--rotate", type=click.Choice(["90", "180", "270"]), help="Turn images clockwise to be the camera's.")
+@click.option("--targets", type=click.Path(path_type=Path), help="Of a BOP dataset: test_targets_bop19.json.")
+@click.option("--sensor", help="Of a BOP dataset with several sensors, this one, such as cam1.")
+@click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object, for -o results.csv.")
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
 @click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
@@ -143,17 +165,32 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 def predict(
-    model: Path, source: Path, no_registration: bool, no_offset: bool, hypotheses: int | None, **options: Any
+    model: Path,
+    source: Path | None,
+    no_registration: bool,
+    no_offset: bool,
+    hypotheses: int | None,
+    no_return: float | None,
+    depth_along: str,
+    rotate: str | None,
+    **options: Any,
 ) -> None:
     """Predict poses with MODEL (a model file or a run's folder) on SOURCE.
 
-    SOURCE is a folder of shards or one shard; one depth image (16-bit PNG, TIFF, NPY) or a folder of them, with
-    --camera and, for whole numbers, --depth-unit; or a folder of the Siléane dataset (camera_params.txt beside
+    SOURCE is a folder of shards or one shard; one depth image (16-bit PNG, TIFF, NPY, EXR, organized PLY or PCD) or a
+    folder of them, with --camera and, for whole numbers, --depth-unit; a split or a scene of a BOP dataset
+    (DATASET/test/000001), or with --targets the dataset; or a folder of the Siléane dataset (camera_params.txt beside
     depth/*.png). Images are named as their files, without the suffix.
     """
     from posenet.commands import predict as commands
     from posenet.network.predict_options import PredictOptions
+    from posenet.prediction.images import Reading
+    from posenet.prediction.sources import SOURCES
 
+    if source is None:
+        raise InputError(f"Missing SOURCE, the images to predict on: give {SOURCES}.")
+    show_log()
+    options["reading"] = Reading(no_return=no_return, along_ray=depth_along == "ray", turned=int(rotate or 0))
     switched = PredictOptions(not no_registration, not no_offset, hypotheses)
     click.echo(commands.predict(model, source, options=switched, **options))
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
+from evalkit.adapters.bop import results as bop_results
+from evalkit.commands.group import suggest_next
 from evalkit.datasets.documents import write_predictions
+from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
 from posenet.prediction.sources import DepthSource, open_source
 
+log = logging.getLogger(__name__)
 BATCH = 4
 
 Found = list[tuple[str, PredictedPoses]]
@@ -31,32 +39,84 @@ def predict(
     device: str = "auto",
     refine: bool = False,
     options: PredictOptions | None = None,
+    object_id: int | None = None,
+    **source_options: Any,
 ) -> str:
     """Predict on the images at `path`, write `out` and, if asked for, a picture of the first; returns a summary.
+
+    An `out` that ends in .csv becomes BOP's results file, with `object_id` as the object's number. What
+    :func:`posenet.prediction.sources.open_source` takes beside camera and unit goes in `source_options`.
 
     Raises:
         InputError: the model, the images or the device cannot be used.
         OSError: a folder cannot be written; said before the work, not after it.
     """
-    source = open_source(path, camera_file, depth_unit)
+    source = open_source(path, camera_file, depth_unit, **source_options)
+    for remark in source.remarks:
+        log.info(remark)
     predictor = Predictor.load(model, device, refine, options)
+    _require_bop_ids(out, source, predictor.model.name, object_id)
     for file in [out] + ([picture] if picture is not None else []):
         _require_writable(file.parent)
     numbers = source.spread(max_images)
     found = list(tqdm(_over(predictor, source, numbers), total=len(numbers), desc="predict", unit=" images"))
-    write_predictions(out, to_document(predictor.model, iter(found)))
+    document = to_document(predictor.model, iter(found))
+    if _is_bop_csv(out):
+        bop_results.write_predictions(out, document, object_id=object_id)
+    else:
+        write_predictions(out, document)
     if picture is not None and found:
-        depth = predictor.clean(source.read(numbers[0]), source.camera)
-        write_picture(picture, draw_predictions(depth, source.camera, predictor.model, found[0][1], picture_score))
+        camera = source.cameras[numbers[0]]
+        depth = predictor.clean(source.read(numbers[0]), camera)
+        write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
+    _say_next(path, out, source, model)
     return _summary(out, found)
 
 
 def _over(predictor: Predictor, source: DepthSource, numbers: list[int]) -> Iterator[tuple[str, PredictedPoses]]:
-    for start in range(0, len(numbers), BATCH):
-        some = numbers[start : start + BATCH]
+    for camera, some in _batches(source, numbers):
         names = [source.names[number] for number in some]
         depths = [source.read(number) for number in some]
-        yield from zip(names, predictor.predict_batch(depths, source.camera, names), strict=True)
+        yield from zip(names, predictor.predict_batch(depths, camera, names), strict=True)
+
+
+def _batches(source: DepthSource, numbers: list[int]) -> Iterator[tuple[Camera, list[int]]]:
+    """Numbers of a few images each, in order, that share a camera."""
+    for camera, group in groupby(numbers, key=source.cameras.__getitem__):
+        same = list(group)
+        yield from ((camera, same[start : start + BATCH]) for start in range(0, len(same), BATCH))
+
+
+def _is_bop_csv(out: Path) -> bool:
+    return out.suffix.lower() == ".csv"
+
+
+def _require_bop_ids(out: Path, source: DepthSource, name: str, object_id: int | None) -> None:
+    """Refuse, before the work, what BOP's results file cannot say.
+
+    Raises:
+        InputError: the object's number, or the images' scene and number, are not known; or no such file is written.
+    """
+    if not _is_bop_csv(out):
+        if object_id is not None:
+            raise InputError(f"{out}: --object-id is for BOP's results file; end the name in .csv.")
+        return
+    if object_id is None and bop_results.OBJECT_NAME.fullmatch(name) is None:
+        raise InputError(f"{out}: BOP knows objects by numbers; give --object-id.")
+    strange = next((image for image in source.names if bop_results.IMAGE_ID.fullmatch(image) is None), None)
+    if strange is not None:
+        raise InputError(
+            f"{out}: BOP knows images by scene and number, and '{strange}' has none; give a BOP dataset, or end the "
+            "name in .json."
+        )
+
+
+def _say_next(path: Path, out: Path, source: DepthSource, model: Path) -> None:
+    if source.truth is None:
+        suggest_next("posenet", "predict", model, path, "--picture", "poses.png")
+    elif not _is_bop_csv(out):
+        kind = [] if source.truth == "shards" else ["--from", source.truth]
+        suggest_next("evalkit", "gt", *kind, path, "-o", out.with_name("gt.json"))
 
 
 def _require_writable(folder: Path) -> None:

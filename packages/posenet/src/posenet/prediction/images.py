@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +14,119 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
+from evalkit.geometry.camera import Camera
+from evalkit.geometry.lens import Lens
+from posenet.prediction import point_cloud
+from posenet.prediction.exr import read_exr
+from posenet.prediction.no_return import without_code
 
-SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+log = logging.getLogger(__name__)
+SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *point_cloud.SUFFIXES)
+KINDS = "a 16-bit PNG, a TIFF, NPY or EXR file, or an organized point cloud (PLY, PCD)"
 HIGHEST = 65535  # of a 16-bit image
+FARTHEST = 50.0  # metres; what is farther at the median is in another unit
+TURNS = (0, 90, 180, 270)
 
 
-def read_depth(path: Path | str, depth_unit: float | None) -> NDArray[np.float32]:
-    """A depth image (height, width) in metres from a 16-bit PNG, a TIFF or an NPY file.
+@dataclass(frozen=True)
+class Reading:
+    """How depth files are to be read, where they do not say it themselves.
+
+    Attributes:
+        depth_unit: metres a step of the file's values; None: metres in floating-point files, refused in others.
+        integer_unit: the same for whole numbers only, where the camera's file says it.
+        no_return: the stored value that means "no return"; None recognizes saturated values.
+        along_ray: depth is the distance from the camera along each pixel's ray, not along its axis.
+        turned: degrees by which images must be turned clockwise to be the camera's.
+        lens: what distorts the images; they are rectified to the camera.
+    """
+
+    depth_unit: float | None = None
+    integer_unit: float | None = None
+    no_return: float | None = None
+    along_ray: bool = False
+    turned: int = 0
+    lens: Lens | None = None
+
+    def image(self, path: Path, camera: Camera) -> NDArray[np.float32]:
+        """The image (height, width) as `camera` would have taken it: axial z in metres, 0 = no return.
+
+        Raises:
+            InputError: the file cannot be used, or is not of the camera's size.
+        """
+        if path.suffix.lower() in point_cloud.SUFFIXES:
+            grid = point_cloud.read_grid(path, camera)
+            if self.lens is None and self.turned == 0:
+                point_cloud.require_camera(grid, camera, path)
+            depth = _in_metres(np.nan_to_num(grid[..., 2]), self.depth_unit, path)
+            return self._as_taken_by(camera, depth, path)
+        depth = self._as_taken_by(camera, read_depth(path, self.depth_unit, self.no_return, self.integer_unit), path)
+        return depth * _cosines(camera) if self.along_ray else depth
+
+    def _as_taken_by(self, camera: Camera, depth: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
+        depth = np.rot90(depth, -self.turned // 90)
+        if depth.shape != (camera.height, camera.width):
+            height, width = depth.shape
+            swapped = (width, height) == (camera.height, camera.width) and self.turned == 0
+            mend = (
+                "it lies on its side: turn it with --rotate 90 or --rotate 270"
+                if swapped
+                else "give the camera that took it"
+            )
+            raise InputError(
+                f"{path}: is {width} x {height} pixels but the camera says {camera.width} x {camera.height}; {mend}."
+            )
+        return depth if self.lens is None else self.lens.rectify(depth, camera)
+
+
+def read_depth(
+    path: Path | str, depth_unit: float | None, no_return: float | None = None, integer_unit: float | None = None
+) -> NDArray[np.float32]:
+    """A depth image (height, width) in metres from a 16-bit PNG, a TIFF, an NPY or an EXR file; 0 = no return.
 
     `depth_unit` is the metres that one step of the file's values stands for; integer images need it, floating-point
-    ones are metres without it.
+    ones are metres without it; `integer_unit` stands in for it with integers only. `no_return` is the stored value that
+    means "no return"; without it, saturated values are recognized, and that is logged.
 
     Raises:
-        InputError: the file is missing, of another kind, has several channels, or is an integer image without a unit.
+        InputError: the file is missing, of another kind, has several channels, is an integer image without a unit, or
+            its numbers cannot be metres.
     """
-    values = _read_values(Path(path))
+    path = Path(path)
+    values = _read_values(path)
+    if values.dtype.kind != "f":
+        depth_unit = integer_unit if depth_unit is None else depth_unit
     if depth_unit is None and values.dtype.kind != "f":
         raise InputError(f"{path}: holds whole numbers; say what one step is in metres, e.g. --depth-unit 0.001.")
-    return values.astype(np.float32) * np.float32(1.0 if depth_unit is None else depth_unit)
+    values, code = without_code(values, no_return)
+    if code is not None and no_return is None:
+        _say_code(code, str(path.parent))
+    return _in_metres(values, depth_unit, path)
+
+
+@lru_cache(maxsize=256)  # once a folder
+def _say_code(code: float, folder: str) -> None:
+    log.info("%s: the value %g counts as no return; where it is none, say --no-return 0.", folder, code)
+
+
+def _in_metres(values: NDArray[Any], depth_unit: float | None, path: Path) -> NDArray[np.float32]:
+    """Stored values as metres, 0 where nothing returned."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        depth = np.maximum(depth, 0.0) * np.float32(1.0 if depth_unit is None else depth_unit)
+    median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
+    if depth_unit is None and median > FARTHEST:
+        raise InputError(
+            f"{path}: its depths ({median:.4g} at the median) cannot be metres; say the unit, for millimetres "
+            "--depth-unit 0.001."
+        )
+    return depth
+
+
+def _cosines(camera: Camera) -> NDArray[np.float32]:
+    """Axial depth over distance along the ray, for every pixel (height, width)."""
+    rays = camera.point_map(np.ones((camera.height, camera.width)))
+    return (1.0 / np.linalg.norm(rays, axis=-1)).astype(np.float32)
 
 
 def read_clipped_depth(path: Path | str, clip: tuple[float, float]) -> NDArray[np.float32]:
@@ -50,9 +149,9 @@ def _read_values(path: Path) -> NDArray[Any]:
     """The numbers of a one-channel image (height, width) as they are stored."""
     if not path.is_file():
         raise InputError(f"{path}: no such depth image; check the path.")
-    values = _load_npy(path) if path.suffix.lower() == ".npy" else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    values = _LOADERS.get(path.suffix.lower(), _load_image)(path)
     if values is None:
-        raise InputError(f"{path}: not a readable image; give a 16-bit PNG, a TIFF or an NPY file.")
+        raise InputError(f"{path}: not a readable image; give {KINDS}.")
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[:, :, 0]
     if values.ndim != 2 or values.size == 0:
@@ -64,9 +163,16 @@ def _read_values(path: Path) -> NDArray[Any]:
     return values
 
 
+def _load_image(path: Path) -> NDArray[Any] | None:
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
 def _load_npy(path: Path) -> NDArray[Any] | None:
     try:
         values = np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: not a readable NPY file of numbers ({error}).") from None
     return values if isinstance(values, np.ndarray) else None
+
+
+_LOADERS: dict[str, Callable[[Path], NDArray[Any] | None]] = {".npy": _load_npy, ".exr": read_exr}

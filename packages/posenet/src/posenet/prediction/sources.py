@@ -1,29 +1,49 @@
-"""Where depth images to predict on come from: shards, one image, a folder of images, a Siléane folder."""
+"""Where depth images to predict on come from: shards, one image, a folder of images, a folder of BOP or Siléane."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.adapters.bop import dataset as bop
 from evalkit.adapters.sileane.dataset import CAMERA_FILE, read_camera_params
 from evalkit.datasets.shard_folder import DATASET_FILE, ShardDataset
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
-from posenet.prediction.images import SUFFIXES, read_clipped_depth, read_depth
+from evalkit.geometry.camera_files import read_camera
+from posenet.prediction import point_cloud
+from posenet.prediction.images import SUFFIXES, Reading, read_clipped_depth
+
+SOURCES = (
+    "a folder of shards, a depth image or a folder of them (PNG, TIFF, NPY, EXR, organized PLY or PCD) with --camera, "
+    "or a scene or split of a BOP dataset, or a folder of the Siléane dataset"
+)
 
 
 @dataclass(frozen=True)
 class DepthSource:
-    """Named depth images of one camera, read one at a time."""
+    """Named depth images, each with its camera, read one at a time.
+
+    Attributes:
+        remarks: sentences on what was chosen and applied.
+        truth: what `evalkit gt --from` reads the source's ground truth by, None where it has none.
+    """
 
     names: list[str]
-    camera: Camera
+    cameras: list[Camera]  # one an image
     read: Callable[[int], NDArray[np.float32]]  # number of an image -> (height, width) metres, 0 = no return
+    remarks: tuple[str, ...] = ()
+    truth: str | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first image."""
+        return self.cameras[0]
 
     def spread(self, most: int | None) -> list[int]:
         """Numbers of at most `most` images, evenly spread over the source."""
@@ -31,19 +51,48 @@ class DepthSource:
         return [int(number) for number in np.linspace(0, len(self.names) - 1, count).round()]
 
 
-def open_source(path: Path, camera_file: Path | None = None, depth_unit: float | None = None) -> DepthSource:
+def open_source(
+    path: Path,
+    camera_file: Path | None = None,
+    depth_unit: float | None = None,
+    reading: Reading | None = None,
+    rectified: bool = False,
+    targets: Path | None = None,
+    sensor: str | None = None,
+) -> DepthSource:
     """Whatever lies at `path`: its content decides what it is.
+
+    Args:
+        camera_file: of image files; see :func:`evalkit.geometry.camera_files.read_camera`.
+        depth_unit: metres a step of image files.
+        reading: how image files are to be read otherwise.
+        rectified: image files were rectified, so that the camera's lens does not matter.
+        targets: of a BOP dataset, only the images that this test_targets_bop*.json lists.
+        sensor: of a BOP dataset with several, this one, such as cam1.
 
     Raises:
         InputError: nothing usable lies there, or images come without their camera.
     """
+    reading = replace(reading or Reading(), depth_unit=depth_unit)
+    files_only = camera_file is not None or reading != Reading() or rectified
     if _is_shards(path):
+        _refuse(files_only or targets is not None, path, "shards", "image files")
         return open_shards(path)
-    if path.is_dir() and camera_file is None and depth_unit is None:
+    if path.is_dir() and camera_file is None and _is_bop(path, sensor, targets):
+        _refuse(files_only, path, "a BOP dataset", "image files")
+        return open_bop(path, targets, sensor)
+    if targets is not None or sensor is not None:
+        raise InputError(f"{path}: is no BOP dataset with scene_camera.json, which --targets and --sensor speak of.")
+    if path.is_dir() and not files_only:
         parameters = next((f / CAMERA_FILE for f in (path, path.parent) if (f / CAMERA_FILE).is_file()), None)
         if parameters is not None:
             return open_sileane(path, parameters)
-    return open_images(path, camera_file, depth_unit)
+    return open_images(path, camera_file, reading, rectified)
+
+
+def _refuse(given: bool, path: Path, kind: str, other: str) -> None:
+    if given:
+        raise InputError(f"{path}: holds {kind}, which say all by themselves; leave out the options for {other}.")
 
 
 def open_shards(path: Path) -> DepthSource:
@@ -57,19 +106,92 @@ def open_shards(path: Path) -> DepthSource:
         reader, row = located[number]
         return reader.depth_raw(row) * unit
 
-    return DepthSource(names, dataset.header.camera, read)
+    return DepthSource(names, [dataset.header.camera] * len(names), read, truth="shards")
 
 
-def open_images(path: Path, camera_file: Path | None, depth_unit: float | None) -> DepthSource:
-    """One depth image, or all of a folder; an image is named as its file without the suffix."""
+def open_images(
+    path: Path, camera_file: Path | None, reading: Reading | None = None, rectified: bool = False
+) -> DepthSource:
+    """One depth image, or all of a folder; an image is named as its file without the suffix.
+
+    Without `camera_file`, a camera.json in the folder is taken, and organized clouds tell their own camera.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; give {SOURCES}.")
     files = _images_in(path) if path.is_dir() else [path]
-    if path.exists() and camera_file is None:
-        raise InputError(f"{path}: a depth image needs its camera: give --camera camera.json.")
-    if camera_file is None:
-        raise InputError(f"{path}: no such file or folder; give shards, a depth image or a folder of them.")
-    return DepthSource(
-        [file.stem for file in files], Camera.load(camera_file), lambda number: read_depth(files[number], depth_unit)
+    beside = next(
+        (folder / "camera.json" for folder in (files[0].parent, path) if (folder / "camera.json").is_file()), None
     )
+    reading, remarks = reading or Reading(), []
+    if camera_file is None and beside is not None and path.is_dir():
+        camera_file = beside
+        remarks.append(f"{beside}: is taken as the images' camera; --camera gives another.")
+    if camera_file is None and files[0].suffix.lower() in point_cloud.SUFFIXES:
+        camera = point_cloud.fitted_camera(point_cloud.read_grid(files[0]), files[0])
+        remarks.append(f"{files[0]}: its points' own grid gives the camera: fx {camera.fx:.5g}, fy {camera.fy:.5g}.")
+    elif camera_file is None:
+        raise InputError(f"{path}: a depth image needs its camera: give --camera camera.json.")
+    else:
+        found = read_camera(camera_file, rectified)
+        camera, reading = found.camera, replace(reading, lens=found.lens)
+        remarks += found.remarks
+        if found.lens is not None:
+            remarks.append(
+                f"{camera_file}: images are rectified, for the lens distorts them ({found.lens.describe()})."
+            )
+        if reading.depth_unit is None and found.depth_unit is not None:
+            reading = replace(reading, integer_unit=found.depth_unit)
+            remarks.append(f"{camera_file}: its depth_scale gives whole numbers {found.depth_unit:g} m a step.")
+    names, cameras = [file.stem for file in files], [camera] * len(files)
+    return DepthSource(names, cameras, lambda number: reading.image(files[number], camera), tuple(remarks))
+
+
+def open_bop(path: Path, targets: Path | None = None, sensor: str | None = None) -> DepthSource:
+    """A BOP dataset's split (DATASET/test), one of its scenes, or with `targets` the whole dataset.
+
+    Every image has its own camera and scale of depth; images are named as scene and image number, 000001-000003.
+
+    Raises:
+        InputError: a file is missing or is not what it should be.
+    """
+    images = list(bop.depth_images(_split_of(path, targets), sensor=sensor, targets=targets))
+    if not images:
+        raise InputError(f"{path}: holds none of the images that {targets} lists; give the split that it is of.")
+    return DepthSource(
+        [image.id for image in images],
+        [image.camera for image in images],
+        lambda number: images[number].read().astype(np.float32),
+        truth="bop",
+    )
+
+
+def _split_of(path: Path, targets: Path | None) -> Path:
+    """The split of a dataset's folder that its targets speak of: test, or the only one that there is."""
+    if targets is None or next(path.glob("scene_camera*.json"), None) or next(path.glob("*/scene_camera*.json"), None):
+        return path
+    splits = sorted({file.parents[1] for file in path.glob("*/*/scene_camera*.json")})
+    named = [split for split in splits if split.name == targets.name.removesuffix(".json").split("_")[0]]
+    if len(named or splits) != 1:
+        listed = ", ".join(split.name for split in splits)
+        raise InputError(f"{path}: holds several splits ({listed}); give the one that {targets.name} is of.")
+    return (named or splits)[0]
+
+
+def _is_bop(path: Path, sensor: str | None, targets: Path | None) -> bool:
+    """Whether a folder is a scene, a split or a dataset of BOP; one without cameras is refused.
+
+    Raises:
+        InputError: it is a scene or a split of BOP, but without cameras.
+    """
+    levels = ("", "*/", "*/*/")
+    if any(next(path.glob(f"{level}scene_camera*.json"), None) is not None for level in levels):
+        return True
+    if any(next(path.glob(f"{level}scene_gt*.json"), None) is not None for level in levels):
+        raise InputError(
+            f"{path}: a BOP dataset without scene_camera.json, and so without cameras; fetch it again, or give one "
+            "folder of its depth images with --camera and --depth-unit."
+        )
+    return False
 
 
 def open_sileane(folder: Path, parameters: Path) -> DepthSource:
@@ -80,7 +202,9 @@ def open_sileane(folder: Path, parameters: Path) -> DepthSource:
     files = _images_in(folder / "depth" if (folder / "depth").is_dir() else folder)
     camera, _ = read_camera_params(parameters)
     read = partial(read_clipped_depth, clip=_clip_planes(parameters))
-    return DepthSource([file.stem for file in files], camera, lambda number: read(files[number]))
+    names, cameras = [file.stem for file in files], [camera] * len(files)
+    truth = "sileane" if (parameters.parent / "poseutils.json").is_file() else None
+    return DepthSource(names, cameras, lambda number: read(files[number]), truth=truth)
 
 
 def _is_shards(path: Path) -> bool:
@@ -92,9 +216,7 @@ def _is_shards(path: Path) -> bool:
 def _images_in(folder: Path) -> list[Path]:
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
-        raise InputError(
-            f"{folder}: holds neither shards nor depth images; give a folder of shard-*.h5 or of {', '.join(SUFFIXES)}."
-        )
+        raise InputError(f"{folder}: holds neither shards nor depth images; give {SOURCES}.")
     by_name = {file.stem: file for file in files}
     twin = next((file for file in files if by_name[file.stem] != file), None)
     if twin is not None:
