@@ -5,6 +5,8 @@ All of it follows from the seed and the number of the step, so a resumed run see
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,7 +15,10 @@ from posenet.config import TrainConfig
 from posenet.network.targets import Batch
 from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.dataset import Frames, epoch_order, step_seeds
+from posenet.training.prefetch import Prefetch
 from posenet.training.processes import Rank
+
+MOST_AHEAD = 12  # batches
 
 
 class Batches:
@@ -22,6 +27,7 @@ class Batches:
     def __init__(self, frames: Frames, train: NDArray[np.int64], config: TrainConfig, seed: int, rank: Rank) -> None:
         self.frames, self.train, self.config, self.seed, self.rank = frames, train, config, seed, rank
         self.degradation = degradation_of(config, frames)
+        self._ahead: Prefetch[Batch] | None = None
 
     @property
     def steps_per_epoch(self) -> int:
@@ -34,14 +40,23 @@ class Batches:
         return epoch_order(self.train, self.seed, epoch)[position * size : (position + 1) * size]
 
     def load(self, step: int, device: torch.device) -> Batch:
-        """This rank's share of a step's batch, on `device`, degraded where the configuration says so."""
-        numbers, share = self.frame_numbers(step), self.rank.share
-        seeds = step_seeds(self.seed, step, numbers)
+        """This rank's share of a step's batch, on `device`, degraded where the configuration says so.
+
+        A GPU takes its steps faster than a core degrades images, so for one the next batches are made meanwhile.
+        """
         torch.manual_seed(step_seeds(self.seed, step, np.array([self.rank.index]))[0])  # dropout draws globally
-        batch = self.frames.batch(share(numbers), share(seeds))
+        if device.type == "cpu":
+            return self._made(step)
+        if self._ahead is None:
+            self._ahead = Prefetch(self._made, min(MOST_AHEAD, (os.cpu_count() or 1) // self.rank.size))
+        return self._ahead[step].to(device)
+
+    def _made(self, step: int) -> Batch:
+        numbers, share = self.frame_numbers(step), self.rank.share
+        batch = self.frames.batch(share(numbers), share(step_seeds(self.seed, step, numbers)))
         generators = (generator_of(self.seed, step, number) for number in share(range(len(numbers))))
         images = [self._degraded(*image) for image in zip(batch.depth, generators, strict=True)]
-        return batch._replace(depth=torch.stack(images)).to(device)
+        return batch._replace(depth=torch.stack(images))
 
     def _degraded(self, depth: torch.Tensor, generator: np.random.Generator) -> torch.Tensor:
         frames, bounds = self.frames, self.degradation
