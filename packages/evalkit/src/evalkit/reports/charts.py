@@ -135,7 +135,7 @@ def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
         axes.set(xlim=(0, 100), ylim=(0, 1.12), xticks=range(0, 101, 10), yticks=np.linspace(0, 1, 6))
         axes.set(xlabel="visible share of the instance, %", ylabel="AP, share found")
         tidy(axes)
-        _legend(axes, "no instances", loc="upper left", bbox_to_anchor=(0.0, 0.92))
+        _legend(axes, "no instances", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
 
     return Chart(
         name="ap_by_visibility",

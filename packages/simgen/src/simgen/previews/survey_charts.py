@@ -57,7 +57,7 @@ def instances(found: Survey) -> Chart:
         axes.set(xlabel="instances", ylabel="share of scenes, of frames")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         tidy(axes)
-        axes.legend(frameon=False)
+        axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
 
     return Chart(
         name="instances",
