@@ -82,6 +82,7 @@ def test_the_chapters_on_documents_name_every_field(tmp_path: Path) -> None:
 def test_the_chapters_on_models_and_runs_name_every_key() -> None:
     assert keys_of("posenet/models/model_file.py", "save_model") == chapter("model")
     run = keys_of("posenet/training/train.py", "_identity") - {"sha256", "shards"}
+    run |= keys_of("posenet/training/train.py", "_length")
     assert run | {"format", "made_by"} == chapter("run") - {name for name in chapter("run") if "." in name}
 
 
