@@ -42,7 +42,7 @@ def test_packages_import_only_what_the_design_allows(package: str) -> None:
 
 
 def test_the_leaf_needs_no_physics_gl_or_torch() -> None:
-    heavy = {"torch", "pybullet", "pyrender", "OpenGL", "lightning_fabric", "trimesh", "numba"}
+    heavy = {"torch", "pybullet", "pyrender", "OpenGL", "lightning_fabric", "numba"}
     for source in sources("evalkit"):
         wrong = heavy & set(imported_packages(source))
         assert not wrong, f"{source.relative_to(ROOT)} imports {wrong}"

@@ -12,6 +12,7 @@ from evalkit import InputError, PredictionImage, Predictions, average_precision
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets import documents
 from evalkit.geometry import poses
+from evalkit.meshes.read import read_mesh
 from evalkit.objects.model import surface_moments
 from evalkit.scoring.distances import Sym, SymToolbox
 
@@ -209,7 +210,7 @@ def test_a_folder_without_scenes_is_refused(tmp_path):
 def test_an_obj_file_with_polygons_and_negative_indices_is_read(tmp_path):
     path = tmp_path / "mesh.obj"
     path.write_text("# quad\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1 4//1\nf -4 -3 -2\n")
-    vertices, faces = sileane.read_obj(path)
+    vertices, faces = read_mesh(path)
     assert vertices.shape == (4, 3)
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
 

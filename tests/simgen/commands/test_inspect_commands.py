@@ -129,7 +129,7 @@ def test_verify_lists_what_is_wrong_and_exits_with_2(shards: Path) -> None:
 
 WRONG = [
     ("object", "rabbit"),
-    ("object", "{brick}", "--units", "inch"),
+    ("object", "{brick}", "--units", "foot"),
     ("object", "{brick}", "--scale", "0"),
     ("object", "{brick}", "--symmetry", "round"),
     ("object", "{brick}", "-o", "picture.xyz"),

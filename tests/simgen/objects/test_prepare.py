@@ -32,7 +32,7 @@ def brick_file(folder: Path, metres_per_unit: float = 1.0, name: str = "brick.st
 
 @pytest.mark.parametrize("name", ["brick.ply", "brick.stl", "brick.obj", "brick.off"])
 @pytest.mark.parametrize("metres_per_unit", [1.0, 1e-3])
-def test_metres_and_millimetres_give_the_same_object(tmp_path: Path, name: str, metres_per_unit: float) -> None:
+def test_metres_and_millimeters_give_the_same_object(tmp_path: Path, name: str, metres_per_unit: float) -> None:
     prepared = prepare_object(brick_file(tmp_path, metres_per_unit, name))
     assert prepared.warnings == []
     assert prepared.model.diameter == pytest.approx(np.linalg.norm(BRICK.extents), rel=1e-5)
@@ -62,7 +62,7 @@ def test_the_decision_on_units_is_kept_and_told(tmp_path: Path) -> None:
         "scale": 2.0,
         "symmetry_from": "mesh",
     }
-    assert "millimetres" in prepared.summary and "160 x 240" in prepared.summary.replace("100 x ", "")
+    assert "millimeters" in prepared.summary and "160 x 240" in prepared.summary.replace("100 x ", "")
     assert "dihedral:2" in prepared.summary
 
 
@@ -70,7 +70,7 @@ def test_an_uncertain_unit_is_told(tmp_path: Path) -> None:
     prepared = prepare_object(brick_file(tmp_path), scale=0.5, units="auto")
     assert prepared.warnings == []
     doubtful = prepare_object(brick_file(tmp_path, 0.12 / 1.5))
-    assert len(doubtful.warnings) == 1 and "--units mm" in doubtful.warnings[0]
+    assert len(doubtful.warnings) == 1 and "--units inch" in doubtful.warnings[0]
 
 
 @pytest.mark.parametrize("name", BUILTIN_OBJECTS)
@@ -112,7 +112,7 @@ BAD_OPTIONS: list[dict[str, object]] = [
     {"scale": float("inf")},
     {"scale": 1e-9},
     {"scale": 1e9},
-    {"units": "inch"},
+    {"units": "foot"},
     {"symmetry": "cyclic:0"},
     {"symmetry": "round"},
     {"symmetry": "revolution@w"},

@@ -10,13 +10,14 @@ import click
 from evalkit import adapters
 from evalkit.datasets import documents
 from evalkit.errors import InputError
+from evalkit.meshes.units import CHOICES
 
 FILE = click.Path(path_type=Path)
 SOURCE_OPTIONS = [
     click.option("--object", "object_name", help="Name the object so in the document."),
     click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object.  [bop]"),
-    click.option("--mesh", type=FILE, help="The object's mesh: PLY, STL or OBJ.  [bop, icvl, ipa]"),
-    click.option("--units", type=click.Choice(["m", "cm", "mm", "inch"]), help="The mesh's unit; needed with --mesh."),
+    click.option("--mesh", type=FILE, help="The object's mesh: PLY, STL, OBJ, GLB, STEP …  [bop, icvl, ipa]"),
+    click.option("--units", type=click.Choice(CHOICES), help="The mesh's unit; by default decided by its size, aloud."),
     click.option("--symmetry", help="auto, none, cyclic:N, revolution@z …, in place of the dataset's or the mesh's."),
     click.option(
         "--visibility", help="depth (estimated from the depth images), full, or FILE.json, by image.  [bop, icvl]"

@@ -20,7 +20,7 @@ MOST_PROBLEMS = 50
 
 @click.command("object")
 @click.argument("source", metavar="FILE|NAME")
-@click.option("--units", default="auto", show_default=True, metavar="auto|m|mm", help="The file's unit.")
+@click.option("--units", default="auto", show_default=True, metavar="auto|m|cm|mm|inch", help="The file's unit.")
 @click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on the object's size.")
 @click.option(
     "--symmetry", default="auto", show_default=True, help="auto, a group's name, or name@axis: revolution@z, cyclic:4 …"

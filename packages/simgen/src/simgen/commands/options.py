@@ -13,6 +13,7 @@ import click
 
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from evalkit.meshes.units import CHOICES
 from simgen.config import PRESETS, RENDERERS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
 from simgen.sensors.config import parse_sensor
 
@@ -59,7 +60,7 @@ _OBJECT_OPTIONS = _group(
         metavar="FILE|NAME",
         help="Mesh file, or bunny, cup, candlestick, pepper, gear, brick, connector or bracket.",
     ),
-    click.option("--units", type=click.Choice(["auto", "m", "mm"]), default="auto", show_default=True),
+    click.option("--units", type=click.Choice(CHOICES), default="auto", show_default=True),
     click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on the object's size."),
     click.option(
         "--symmetry", default="auto", show_default=True, help="auto, none, cyclic:N, dihedral:N, revolution …"

@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
+from evalkit.meshes.read import FileMesh, read_file_mesh
+from evalkit.meshes.units import METERS, WORDS, check_size, decide_units
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry_detection import DetectedSymmetry, resolve_symmetry
 from simgen.objects.builtin import BUILTIN_OBJECTS
 from simgen.objects.convex import Part, convex_parts
-from simgen.objects.load import read_mesh
 from simgen.objects.mending import MendedMesh, mend
-from simgen.objects.units import METRES, WORDS, check_size, decide_units
 
 FLAT = 1e-4  # thickness over size below which nothing can rest on or under the object
 
@@ -70,7 +69,7 @@ def prepare_object(
     """Read `source`, a mesh file or a built-in object's name, as an object in metres.
 
     Args:
-        units: auto, m or mm: the file's unit; a built-in object is in metres.
+        units: auto, m, cm, mm or inch: the file's unit; a built-in object is in meters.
         scale: factor on the size, on top of the unit.
         symmetry: auto, a group's name, or a name and its axis such as ``revolution@z``.
         name: what documents call the object; the file's or the built-in object's name if None.
@@ -82,10 +81,10 @@ def prepare_object(
         raise InputError(f"--scale {scale:g}: must be a positive number.")
     if name is not None and not name.strip():
         raise InputError("--name: is empty; name the object, or leave the option out.")
-    own_name, vertices, faces, notes = _read(source)
-    mesh = mend(vertices, faces)
+    own_name, found_mesh, notes = _read(source)
+    mesh = mend(found_mesh.vertices, found_mesh.faces)
     _require_body(mesh, source)
-    mesh, unit, reason, warnings = _in_metres(mesh, source, units, scale)
+    mesh, unit, reason, warnings = _in_meters(mesh, source, units, scale, found_mesh.unit)
     found = resolve_symmetry(mesh.vertices, mesh.faces, symmetry)
     parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
@@ -94,16 +93,15 @@ def prepare_object(
     return PreparedObject(model, parts, warnings, reason, mesh, found)
 
 
-def _read(source: str) -> tuple[str, NDArray[np.float64], NDArray[np.int64], dict[str, Any]]:
-    """Name, vertices (V, 3), faces (F, 3) and notes on the origin of a built-in object or a file."""
+def _read(source: str) -> tuple[str, FileMesh, dict[str, Any]]:
+    """Name, mesh and notes on the origin of a built-in object or a file."""
     if source in BUILTIN_OBJECTS:
         builtin = BUILTIN_OBJECTS[source]
-        return source, *builtin.make(), {"source": source, "origin": builtin.origin}
+        return source, FileMesh(*builtin.make(), "m"), {"source": source, "origin": builtin.origin}
     path = Path(source)
     if not path.exists():
         raise InputError(f"{source}: no such file, nor a built-in object ({', '.join(BUILTIN_OBJECTS)}).")
-    vertices, faces = read_mesh(path)
-    return path.stem, vertices, faces, {"source": path.name, "sha256": sha256_of_file(path)}
+    return path.stem, read_file_mesh(path), {"source": path.name, "sha256": sha256_of_file(path)}
 
 
 def _require_body(mesh: MendedMesh, source: str) -> None:
@@ -115,14 +113,17 @@ def _require_body(mesh: MendedMesh, source: str) -> None:
         raise InputError(f"{source}: the mesh is flat; a rigid body needs thickness, so model it as a solid.")
 
 
-def _in_metres(mesh: MendedMesh, source: str, units: str, scale: float) -> tuple[MendedMesh, str, str, list[str]]:
-    """The mesh in metres, its file's unit, the reason for it, and warnings."""
+def _in_meters(
+    mesh: MendedMesh, source: str, units: str, scale: float, stated: str | None
+) -> tuple[MendedMesh, str, str, list[str]]:
+    """The mesh in meters, its file's unit, the reason for it, and warnings."""
     largest_side = float(np.ptp(mesh.vertices, axis=0).max())
     if source in BUILTIN_OBJECTS:
         unit, reason, warnings = "m", "a built-in object", list[str]()
     else:
-        unit, reason, warnings = decide_units(units, largest_side, Path(source).suffix.lower().lstrip("."), source)
-    factor = METRES[unit] * scale
+        extension = Path(source).suffix.lower().lstrip(".")
+        unit, reason, warnings = decide_units(units, largest_side, extension, source, stated)
+    factor = METERS[unit] * scale
     warnings += check_size(largest_side * factor, source)
     scaled = replace(mesh, vertices=mesh.vertices * factor, volume=mesh.volume * factor**3)
     return scaled, unit, reason, warnings

@@ -14,7 +14,7 @@ from evalkit.adapters.sileane import dataset as sileane
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from evalkit.meshes.load import READERS, read_mesh
+from evalkit.meshes.read import FORMATS, read_mesh
 from evalkit.objects.model import ObjectModel
 from simgen.config import BinSize, BuildConfig
 from simgen.physics.bin_shape import ground_half_side
@@ -100,8 +100,8 @@ def _with_mesh(model: ObjectModel, folder: Path) -> ObjectModel:
     """The object with the mesh of the folder, which may be other than an OBJ file."""
     if model.vertices is not None:
         return model
-    for suffix in READERS:
-        path = folder / f"mesh{suffix}"
+    for extension in FORMATS:
+        path = folder / f"mesh.{extension}"
         if path.is_file():
             vertices, faces = read_mesh(path)
             return replace(model, vertices=vertices, faces=faces.astype(np.int32))

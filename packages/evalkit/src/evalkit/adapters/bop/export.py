@@ -31,7 +31,7 @@ from evalkit.datasets.scene import View
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from evalkit.meshes.ply import write_ply
+from evalkit.meshes.write import write_ply
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry import Symmetry
 

@@ -18,7 +18,8 @@ from evalkit.adapters.fields import numbers
 from evalkit.datasets.documents import load_json
 from evalkit.errors import InputError
 from evalkit.geometry import poses
-from evalkit.meshes.load import check_size, load_object
+from evalkit.meshes.load import load_object
+from evalkit.meshes.units import check_size
 from evalkit.objects.model import THRESHOLD_RATIO, ObjectModel
 from evalkit.objects.symmetry import Symmetry
 from evalkit.objects.symmetry_detection import resolve_symmetry
@@ -104,7 +105,7 @@ def _box(name: str, info: dict[str, Any], where: str) -> ObjectModel:
     low = np.array([float(numbers(info, f"min_{axis}", (), where)) for axis in "xyz"]) * METRES
     size = np.array([float(numbers(info, f"size_{axis}", (), where)) for axis in "xyz"]) * METRES
     corners = low + size * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    check_size(corners, f"{where}: the box of min and size")
+    check_size(float(size.max()), f"{where}: the box of min and size")
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     model = ObjectModel.from_mesh(name, corners, triangles, mesh="the box of models_info.json")

@@ -32,7 +32,7 @@ from evalkit.datasets.documents import (
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from evalkit.meshes.obj import read_obj
+from evalkit.meshes.read import read_mesh
 from evalkit.objects.model import SAMPLE_POINTS, THRESHOLD_RATIO, ObjectModel, sample_surface
 from evalkit.objects.symmetry import Symmetry
 
@@ -224,8 +224,9 @@ def _lambda(path: Path, document: dict[str, Any], symmetry: Symmetry) -> Array:
 
 
 def _with_surface(model: ObjectModel, mesh: Path) -> ObjectModel:
-    vertices, faces = read_obj(mesh)
-    return replace(model, vertices=vertices, faces=faces, points=sample_surface(vertices, faces, SAMPLE_POINTS))
+    vertices, faces = read_mesh(mesh)
+    points = sample_surface(vertices, faces, SAMPLE_POINTS)
+    return replace(model, vertices=vertices, faces=faces.astype(np.int32), points=points)
 
 
 def _named(folder: Path) -> Path:

@@ -26,7 +26,7 @@ from evalkit.datasets.documents import row_dicts
 from evalkit.datasets.scene import View
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from evalkit.meshes.obj import write_obj
+from evalkit.meshes.write import write_obj
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Mesh files: every encoding gives the same surface, and what is damaged is refused in one sentence."""
+"""PLY: every encoding gives the same surface, and what is damaged is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -10,12 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evalkit import InputError
-from evalkit.meshes import load as mesh_files
-from evalkit.meshes.load import load_object, read_mesh
-from evalkit.meshes.ply import read_ply
-from evalkit.meshes.stl import read_stl
-from evalkit.objects import symmetry_detection
-from evalkit.objects.symmetry import Symmetry
+from evalkit.meshes.read import read_mesh
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]], float)
 POLYGONS = [[0, 3, 2, 1], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]  # a pyramid on a square
@@ -46,7 +41,7 @@ def ply_bytes(encoding, polygons=POLYGONS, vertices=VERTICES):
 @pytest.mark.parametrize("polygons", [POLYGONS, TRIANGLES])
 def test_every_encoding_gives_the_same_surface(tmp_path, encoding, polygons):
     (tmp_path / "mesh.ply").write_bytes(ply_bytes(encoding, polygons))
-    vertices, faces = read_ply(tmp_path / "mesh.ply")
+    vertices, faces = read_mesh(tmp_path / "mesh.ply")
     np.testing.assert_array_equal(vertices, VERTICES)
     assert faces.tolist() == TRIANGLES
 
@@ -54,7 +49,7 @@ def test_every_encoding_gives_the_same_surface(tmp_path, encoding, polygons):
 def test_windows_line_ends_and_the_other_name_of_the_list_are_read(tmp_path):
     text = ply_bytes("ascii").decode().replace("vertex_indices", "vertex_index").replace("\n", "\r\n")
     (tmp_path / "mesh.ply").write_bytes(text.encode())
-    assert read_ply(tmp_path / "mesh.ply")[1].tolist() == TRIANGLES
+    assert read_mesh(tmp_path / "mesh.ply")[1].tolist() == TRIANGLES
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -79,7 +74,7 @@ def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path_factory, e
 def test_a_truncated_file_is_refused(tmp_path, encoding):
     (tmp_path / "mesh.ply").write_bytes(ply_bytes(encoding)[:-12])
     with pytest.raises(InputError, match=r"mesh\.ply: .*'face'"):
-        read_ply(tmp_path / "mesh.ply")
+        read_mesh(tmp_path / "mesh.ply")
 
 
 @pytest.mark.parametrize(
@@ -96,68 +91,38 @@ def test_a_truncated_file_is_refused(tmp_path, encoding):
 def test_what_a_header_lacks_is_named(tmp_path, old, new, word):
     (tmp_path / "mesh.ply").write_text(ply_bytes("ascii").decode().replace(old, new))
     with pytest.raises(InputError, match=word):
-        read_ply(tmp_path / "mesh.ply")
+        read_mesh(tmp_path / "mesh.ply")
 
 
 def test_the_reference_cup_is_read(reference):
-    vertices, faces = read_ply(reference / "icvl_cup" / "cup.ply")
+    vertices, faces = read_mesh(reference / "icvl_cup" / "cup.ply")
     assert (len(vertices), len(faces)) == (32774, 65217)
     assert 60 < np.ptp(vertices, axis=0).min() < 120  # millimetres
 
 
-def stl_bytes(ascii_text):
-    corners = VERTICES[np.array(TRIANGLES)]
-    if ascii_text:
-        facets = (
-            "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in c) for c in corners
-        )
-        return ("solid pyramid\n" + "endloop\nendfacet\n".join(facets) + "endloop\nendfacet\nendsolid\n").encode()
-    body = b"".join(struct.pack("<12fH", 0, 0, 0, *c.ravel(), 0) for c in corners)
-    return b"solid lie".ljust(80, b" ") + struct.pack("<I", len(corners)) + body
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_strips_are_wound_alike_and_minus_one_ends_them(tmp_path, encoding):
+    header = f"ply\nformat {encoding} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+    header += "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    strip = [0, 1, 3, 2, -1, 0, 1, 4]
+    if encoding == "ascii":
+        rows = ["{} {} {}".format(*vertex) for vertex in VERTICES] + [f"8 {' '.join(map(str, strip))}"]
+        body = "\n".join(rows).encode()
+    else:
+        order = "<" if "little" in encoding else ">"
+        body = VERTICES.astype(order + "f4").tobytes() + struct.pack(order + "9i", len(strip), *strip)
+    (tmp_path / "mesh.ply").write_bytes(header.encode() + body)
+    assert read_mesh(tmp_path / "mesh.ply")[1].tolist() == [[0, 1, 3], [3, 1, 2], [0, 1, 4]]
 
 
-@pytest.mark.parametrize("ascii_text", [True, False])
-def test_stl_corners_are_merged(tmp_path, ascii_text):
-    (tmp_path / "mesh.stl").write_bytes(stl_bytes(ascii_text))
-    vertices, faces = read_stl(tmp_path / "mesh.stl")
-    assert len(vertices) == len(VERTICES)
-    np.testing.assert_array_equal(vertices[faces], VERTICES[np.array(TRIANGLES)])
+@pytest.mark.parametrize("encoding", ENCODINGS[1:])
+def test_bytes_after_the_last_row_of_a_binary_file_do_no_harm(tmp_path, encoding):
+    (tmp_path / "mesh.ply").write_bytes(ply_bytes(encoding) + b"made by hand")
+    assert read_mesh(tmp_path / "mesh.ply")[1].tolist() == TRIANGLES
 
 
-@pytest.mark.parametrize("ascii_text", [True, False])
-def test_a_truncated_stl_is_refused(tmp_path, ascii_text):
-    data = stl_bytes(ascii_text)
-    (tmp_path / "mesh.stl").write_bytes(data[: data.index(b"vertex") + 15] if ascii_text else data[:-30])
-    with pytest.raises(InputError, match=r"mesh\.stl"):
-        read_stl(tmp_path / "mesh.stl")
-
-
-def test_units_are_said_and_checked(tmp_path):
-    path = tmp_path / "pyramid.stl"
-    path.write_bytes(stl_bytes(False))
-    with pytest.raises(InputError, match="--units"):
-        load_object(path, None)
-    with pytest.raises(InputError, match=r"pyramid\.stl.*read in mm.*check the unit"):
-        load_object(path, "mm", "none")
-    model = load_object(path, "inch", "none")
-    assert (model.name, model.notes["units"]) == ("pyramid", "inch")
-    assert np.ptp(model.vertices, axis=0).max() == pytest.approx(0.0254)
-
-
-@pytest.mark.parametrize(("given", "asked"), [(None, "auto"), ("cyclic:4@z", "cyclic:4@z")])
-def test_the_symmetry_is_found_unless_it_is_given(tmp_path, monkeypatch, given, asked):
-    (tmp_path / "pyramid.stl").write_bytes(stl_bytes(False))
-    heard = []
-
-    def resolve(vertices, faces, spec):
-        heard.append(spec)
-        return symmetry_detection.DetectedSymmetry(Symmetry.parse("cyclic:4"), 0.0, 0.0, [])
-
-    monkeypatch.setattr(mesh_files, "resolve_symmetry", resolve)
-    assert load_object(tmp_path / "pyramid.stl", "cm", given).symmetry.name == "cyclic:4"
-    assert heard == [asked]
-
-
-def test_other_formats_are_refused_by_name(tmp_path):
-    with pytest.raises(InputError, match=r"mesh\.step.*PLY, STL or OBJ"):
-        read_mesh(tmp_path / "mesh.step")
+def test_rows_of_more_numbers_than_the_header_announces_are_refused(tmp_path):
+    text = ply_bytes("ascii").decode().replace("property float nx\n", "")
+    (tmp_path / "mesh.ply").write_text(text)
+    with pytest.raises(InputError, match=r"mesh\.ply"):
+        read_mesh(tmp_path / "mesh.ply")
