@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("evalkit", "simgen", "posenet")
-RAISED = ("InputError", "click.UsageError")
+RAISED = ("InputError", "click.UsageError", "MeshFileError")
 NO_NAMES = {"join", "str", "map", "sorted", "len", "repr", "list"}  # what formats a value, not what it is
 NO_MEND = "put right what it names"
 HEAD = """# Every error sentence
