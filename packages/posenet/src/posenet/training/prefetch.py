@@ -19,14 +19,13 @@ class Prefetch(Generic[Item]):
 
     def __getitem__(self, number: int) -> Item:
         """What `make` returns, or raises, for `number`."""
-        coming = {}
-        for wanted in range(number, number + self._ahead + 1):
-            coming[wanted] = self._coming.pop(wanted, None) or self._executor.submit(self._make, wanted)
-        for unwanted in self._coming.values():
-            unwanted.cancel()
-        item = coming.pop(number).result()
-        self._coming = coming
-        return item
+        wanted = range(number, number + self._ahead + 1)
+        for unwanted in self._coming.keys() - set(wanted):
+            self._coming.pop(unwanted).cancel()
+        for one in wanted:
+            if one not in self._coming:
+                self._coming[one] = self._executor.submit(self._make, one)
+        return self._coming.pop(number).result()
 
     def close(self) -> None:
         """Drop what nobody asked for."""
