@@ -108,6 +108,15 @@ def test_the_readme_lists_every_folder_of_a_package_and_no_other(package: str) -
     assert sorted(listed) == sorted(folders)
 
 
+def test_a_newcomers_questions_are_answered_by_folders_that_there_are() -> None:
+    answers = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## Where is")[1]
+    folders = re.findall(r"`((?:evalkit|simgen|posenet)/[a-z/]+)`", answers)
+    assert len(folders) >= 10
+    for folder in folders:
+        package = folder.split("/")[0]
+        assert (ROOT / "packages" / package / "src" / folder / "__init__.py").is_file(), folder
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_folder_says_what_lives_there(package: str) -> None:
     for folder in {source.parent for source in sources(package)}:
