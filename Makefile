@@ -46,6 +46,7 @@ bench: $(STAMP) ## every figure that README states
 docs: $(STAMP) ## the documentation as a site in site/, every link checked
 	$(BIN)/python docs/scripts/error_catalogue.py docs/errors.md
 	$(BIN)/python docs/scripts/command_reference.py docs/commands.md
+	$(BIN)/python docs/scripts/api_pages.py docs/api
 	PYTHONPATH=docs/scripts $(BIN)/python -m zensical build --strict --clean
 
 wheels: $(STAMP) ## the three packages as wheels in dist/
@@ -57,4 +58,4 @@ version: ## write the version in VERSION wherever it is stated
 	python3 tools/version.py
 
 clean: ## remove what the demo, the documentation and the wheels made
-	rm -rf demo site docs/errors.md docs/commands.md dist
+	rm -rf demo site docs/errors.md docs/commands.md docs/api dist
