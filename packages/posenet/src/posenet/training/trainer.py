@@ -76,6 +76,8 @@ class Trainer:
             InputError: nothing is learnt, or the loss became NaN.
         """
         if self.finished:
+            minutes = self.budget.seconds / 60
+            log.info("This run has ended, after %.1f minutes; give it more --minutes in all to go on.", minutes)
             return
         if not self.rank.leads:
             return self._follow()
