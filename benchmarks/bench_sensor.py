@@ -26,11 +26,11 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.meshes.load import load_object
 from evalkit.objects.model import ObjectModel
-from simgen.config import default_camera
 from simgen.objects.builtin import BUILTIN_OBJECTS
+from simgen.presets import default_camera
 from simgen.rendering.rasterizer import Rasterizer, Rendering
-from simgen.sensors.config import SensorConfig, parse_sensor
 from simgen.sensors.sensor import measure
+from simgen.sensors.sensor_config import SensorConfig, parse_sensor
 
 REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", Path(__file__).resolve().parents[2] / "shared" / "reference"))
 SLOPES = ((0, 31), (31, 45), (45, 60), (60, 72))  # degrees

@@ -25,20 +25,19 @@ from numpy.typing import NDArray
 
 from evalkit.datasets.scene import Scene, View
 from evalkit.datasets.shard_writer import ShardWriter
-from evalkit.errors import InputError
-from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
+from peers import least_seconds, renderer_of, report_peers
 from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
-from simgen.config import default
 from simgen.objects.prepare import prepare_object
 from simgen.physics.bin_shape import bin_mesh
+from simgen.presets import default
 from simgen.rendering.labels import label_instances, quantised
-from simgen.rendering.renderers import DepthRenderer, depth_renderer
+from simgen.rendering.renderers import DepthRenderer
 from simgen.scenes.job import Job
 from simgen.scenes.plan import plan
 from simgen.scenes.simulate import make_scene
-from simgen.sensors.config import SensorConfig, stereo
 from simgen.sensors.sensor import measure, sensor_generator
+from simgen.sensors.sensor_config import SensorConfig, stereo
 
 SCENES, VIEWS, CORES = 2000, 17, 2  # what is projected to: the paper's set
 COPIED_MB = 64
@@ -94,7 +93,7 @@ def main() -> None:
         measured = executor.submit(measure_worker, job, options.repeats).result()
     report_stages(job, measured)
     report_limit(job, measured)
-    report_peers(job, measured, options.peer_frames)
+    report_peers(job, measured.scenes[0], options.peer_frames)
     report_piles(job, measured)
 
 
@@ -154,12 +153,6 @@ def measure_frame(job: Job, measured: Measured, renderer: DepthRenderer, scene: 
     labels = measured.timed("labels", repeats, label_instances, rendering, depth, cam_from_obj, job.model, camera)
     measured.visibility.extend(labels.visibility.tolist())
     return View(camera, depth, job.depth_unit, rendering.instance_id, cam_from_world, labels, scene.index, view)
-
-
-def renderer_of(job: Job, name: str = "cpu") -> DepthRenderer:
-    renderer = depth_renderer(name, job.config.camera, job.model.mesh)
-    renderer.set_background(*bin_mesh(job.bin))
-    return renderer
 
 
 def _sensor_of(job: Job, sensor: SensorConfig, scene: int, view: int) -> tuple[Any, SensorConfig, np.random.Generator]:
@@ -226,70 +219,6 @@ def copy_bandwidth() -> float:
     """Bytes a second that one core reads and writes when it copies what no cache holds."""
     source, target = np.ones(COPIED_MB << 20, np.uint8), np.ones(COPIED_MB << 20, np.uint8)
     return 2 * source.nbytes / least_seconds(lambda: np.copyto(target, source), 5)
-
-
-def least_seconds(work: Callable[[], Any], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        started = time.process_time()
-        work()
-        times.append(time.process_time() - started)
-    return min(times)
-
-
-def report_peers(job: Job, measured: Measured, frames: int) -> None:
-    """Others draw the same frames with every instance's silhouette; CPU time, all threads together."""
-    if frames == 0:
-        return
-    scene = measured.scenes[0]
-    cameras = scene.cam_from_world[:frames]
-    ours = renderer_of(job)
-    ours.set_background(*bin_mesh(job.scene_bin(scene.index)))
-    mine = least_seconds(lambda: [ours.render(c @ scene.world_from_obj, c) for c in cameras], 3) / len(cameras)
-    print(f"{len(cameras)} frames of {len(scene.world_from_obj)} instances with every whole silhouette, drawing alone")
-    print(f"  {'simgen':<12}{1e3 * mine:8.1f} ms a frame")
-    for name, start in (("embreex", start_embreex), ("pyrender", start_pyrender)):
-        try:
-            draw = start(job, scene)
-        except (ImportError, InputError) as error:
-            print(f"  {name:<12} left out: {error}")
-            continue
-        draw(cameras[0])
-        theirs = least_seconds(lambda draw=draw: [draw(c) for c in cameras], 1) / len(cameras)  # type: ignore[misc]
-        print(f"  {name:<12}{1e3 * theirs:8.1f} ms a frame, {theirs / mine:.0f} times ours")
-
-
-def start_pyrender(job: Job, scene: Scene) -> Callable[[Array], object]:
-    """pyrender's loop, as `simgen build --renderer pyrender` has it."""
-    renderer = renderer_of(job, "pyrender")
-    renderer.set_background(*bin_mesh(job.scene_bin(scene.index)))
-    return lambda cam_from_world: renderer.render(cam_from_world @ scene.world_from_obj, cam_from_world)
-
-
-def start_embreex(job: Job, scene: Scene) -> Callable[[Array], object]:
-    """A ray through every pixel's middle: at the whole scene, and at each instance alone for its silhouette."""
-    from embreex import rtcore_scene
-    from embreex.mesh_construction import TriangleMesh
-
-    vertices, faces = job.model.mesh
-    placed = [(poses.apply(pose, vertices), faces) for pose in scene.world_from_obj]
-    everything = [*placed, bin_mesh(job.scene_bin(scene.index))]
-    worlds = []
-    for group in (everything, *([one] for one in placed)):
-        world = rtcore_scene.EmbreeScene()
-        for points, triangles in group:
-            TriangleMesh(world, points[triangles].astype(np.float32))
-        worlds.append(world)
-    camera = job.config.camera
-    rays = camera.point_map(np.ones((camera.height, camera.width))).reshape(-1, 3)
-
-    def draw(cam_from_world: Array) -> list[Any]:
-        world_from_cam = poses.invert(cam_from_world)
-        origins = np.broadcast_to(world_from_cam[:3, 3], rays.shape).astype(np.float32)
-        directions = (rays @ world_from_cam[:3, :3].T).astype(np.float32)
-        return [world.run(origins, directions, output=True) for world in worlds]
-
-    return draw
 
 
 def report_piles(job: Job, measured: Measured) -> None:

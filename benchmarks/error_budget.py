@@ -34,9 +34,10 @@ from evalkit.datasets.scene import Instances
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
 from evalkit.objects.model import ObjectModel
+from evalkit.scoring.agreement import require_same_subject
 from evalkit.scoring.breakdown import by_visibility
 from evalkit.scoring.distances import Sym
-from evalkit.scoring.evaluation import Subject, require_same_subject
+from evalkit.scoring.evaluation import Subject
 from evalkit.scoring.rules import Settings
 from posenet.coding.bins import Bins
 from posenet.detectors.base import DetectionLimits, Detections, Detector

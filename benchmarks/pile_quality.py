@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from evalkit.geometry import poses
-from simgen.config import PhysicsConfig
+from simgen.config_sections import PhysicsConfig
 from simgen.physics.body import Body
 from simgen.physics.world import World
 from simgen.scenes.job import Job

@@ -10,21 +10,11 @@ from typing import Any
 import pytest
 
 from evalkit.errors import InputError
-from simgen.config import (
-    PRESETS,
-    BinSize,
-    BuildConfig,
-    PileConfig,
-    ViewpointConfig,
-    debug,
-    default,
-    default_camera,
-    parse_bin,
-    parse_instances,
-    parse_range,
-    sileane,
-)
-from simgen.sensors.config import stereo
+from simgen.commands.parsing import parse_bin, parse_instances, parse_range
+from simgen.config import BuildConfig
+from simgen.config_sections import BinSize, PileConfig, ViewpointConfig
+from simgen.presets import PRESETS, debug, default, default_camera, sileane
+from simgen.sensors.sensor_config import stereo
 
 
 def test_the_default_is_the_papers() -> None:

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from evalkit.errors import InputError
-from simgen.config import PRESETS, BinSize, debug
 from simgen.config_json import config_from_json
-from simgen.sensors.config import SENSORS
+from simgen.config_sections import BinSize
+from simgen.presets import PRESETS, debug
+from simgen.sensors.sensor_config import SENSORS
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from angle_job import SMALL, digests, job_of, times
 from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
@@ -26,36 +22,15 @@ from evalkit.datasets.shard_format import checksum_problem
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from evalkit.objects.model import ObjectModel
-from evalkit.objects.symmetry import Symmetry
 from simgen.building.build import build, build_shard
 from simgen.commands.cli import cli
-from simgen.config import PRESETS, BinSize, BuildConfig, PileConfig, debug, default_camera
+from simgen.config_sections import BinSize, PileConfig
 from simgen.physics.distribution import bullet_version
+from simgen.presets import PRESETS, default_camera
 from simgen.scenes.job import Job
-from simgen.scenes.plan import depth_unit_for, plan
+from simgen.scenes.plan import depth_unit_for
 from simgen.scenes.render import SceneRenderer
 from simgen.scenes.simulate import make_scene
-
-SMALL = replace(debug(), scenes=5, views=2, instances_min=2, instances_max=4, camera=default_camera(80, 60))
-
-
-def job_of(config: BuildConfig = SMALL, symmetry: str = "none", scale: float = 1.0) -> Job:
-    arms = [trimesh.creation.box([0.08, 0.03, 0.01]), trimesh.creation.box([0.01, 0.03, 0.06])]
-    parts = [(np.asarray(arm.vertices) * scale, np.asarray(arm.faces)) for arm in arms]
-    vertices = np.vstack([part[0] for part in parts])
-    faces = np.vstack([parts[0][1], parts[1][1] + len(parts[0][0])])
-    return plan(config, ObjectModel.from_mesh("angle", vertices, faces, Symmetry.parse(symmetry)), parts)
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir()) if path.is_file()
-    }
-
-
-def times(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in folder.glob("shard-*.h5")}
 
 
 @pytest.fixture(scope="module")
@@ -332,123 +307,3 @@ def test_a_disk_that_takes_no_more_is_reported_in_one_sentence(tmp_path: Path) -
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
     assert result.stderr.splitlines()[-1] == f"Error: {tmp_path}/out/shard-00000.h5: File too large."
-
-
-# ---- interruptions ----
-
-TWENTY = replace(SMALL, scenes=40)  # shards
-COMMAND = """
-import sys
-sys.path.insert(0, {here!r})
-import test_build as t
-from pathlib import Path
-if __name__ == "__main__":
-    t.build(t.job_of(t.TWENTY), Path({folder!r}), workers=2)
-"""
-
-
-@contextlib.contextmanager
-def building(folder: Path, script: Path, shards: int = 2) -> Iterator[subprocess.Popen[bytes]]:
-    """A build of twenty shards in a process of its own, yielded when `shards` of them are done."""
-    script.write_text(COMMAND.format(here=str(Path(__file__).parent), folder=str(folder)))
-    # A runner in a shell's background ignores Ctrl-C, and so would all that it starts.
-    process = subprocess.Popen(
-        [sys.executable, str(script)],
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    try:
-        deadline = time.monotonic() + 120
-        while not folder.exists() or len(list(folder.glob("shard-*.h5"))) < shards:
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.02)
-        yield process
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def children_of(pid: int) -> list[int]:
-    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
-    return [int(word) for word in listed.stdout.split()]
-
-
-def test_a_build_killed_outright_is_completed_by_running_it_again(tmp_path: Path) -> None:
-    folder, job = tmp_path / "cut", job_of(replace(SMALL, scenes=40))
-    with building(folder, tmp_path / "script.py") as process:
-        workers = children_of(process.pid)
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        deadline = time.monotonic() + 20
-        while any(Path(f"/proc/{worker}").exists() for worker in workers):
-            assert time.monotonic() < deadline, "workers must not outlive their parent"
-            time.sleep(0.05)
-    done = times(folder)
-    assert 2 <= len(done) < 20
-    report = build(job, folder, workers=2)
-    assert report.kept == len(done) and len(report.written) == 20 - len(done)
-    assert {name: stamp for name, stamp in times(folder).items() if name in done} == done
-    assert sorted(path.name for path in folder.iterdir()) == ["dataset.json", *(shard_name(i) for i in range(20))]
-    build_shard(job, tmp_path, 19)
-    assert digests(folder)[shard_name(19)] == digests(tmp_path)[shard_name(19)]
-
-
-def test_the_shards_of_a_killed_worker_are_redone(tmp_path: Path) -> None:
-    folder = tmp_path / "maimed"
-    with building(folder, tmp_path / "script.py") as process:
-        os.kill(max(children_of(process.pid)), signal.SIGKILL)
-        assert process.wait(timeout=120) == 0
-    assert len(times(folder)) == 20
-    assert not list(folder.glob(".*.tmp"))
-
-
-def test_ctrl_c_stops_at_once_and_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
-    folder = tmp_path / "stopped"
-    with building(folder, tmp_path / "script.py") as process:
-        start = time.monotonic()
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.wait(timeout=20) != 0
-        assert time.monotonic() - start < 5
-    assert not list(folder.glob(".*.tmp"))
-    assert all(checksum_problem(path) is None for path in folder.glob("shard-*.h5"))
-
-
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("uninterrupted") / "shards"
-    build(job_of(TWENTY), folder, workers=2)
-    return digests(folder)
-
-
-def kill_at_a_random_moment(folder: Path, script: Path, victim: str, seed: int) -> None:
-    """Start the build of `COMMAND` and kill -9 it, or one of its workers, somewhere between its start and its end."""
-    rng = np.random.default_rng(seed)
-    shards = int(rng.integers(0, 18))
-    with building(folder, script, shards) as process:
-        time.sleep(float(rng.uniform(0.0, 0.5)))
-        workers = children_of(process.pid)
-        with contextlib.suppress(ProcessLookupError):  # a worker may just have ended by itself
-            os.kill(process.pid if victim == "parent" else int(rng.choice(workers or [process.pid])), signal.SIGKILL)
-        process.wait(timeout=300)
-
-
-MOMENTS = [pytest.param(seed, marks=[pytest.mark.slow] * (seed > 0)) for seed in range(10)]
-
-
-@pytest.mark.parametrize("victim", ["parent", "worker"])
-@pytest.mark.parametrize("seed", MOMENTS)
-def test_killed_at_any_moment_the_finished_dataset_has_the_bytes_of_an_uninterrupted_one(
-    tmp_path: Path, uninterrupted: dict[str, str], victim: str, seed: int
-) -> None:
-    folder = tmp_path / "cut"
-    kill_at_a_random_moment(folder, tmp_path / "script.py", victim, seed)
-    build(job_of(TWENTY), folder, workers=1)  # at once, while orphans may still be on their way out
-    assert digests(folder) == uninterrupted
-
-
-def test_two_builds_do_not_share_a_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "shared"
-    with building(folder, tmp_path / "script.py"), pytest.raises(InputError, match="another 'simgen build' is at work"):
-        build(job_of(replace(SMALL, scenes=40)), folder, workers=1)

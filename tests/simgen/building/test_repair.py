@@ -15,8 +15,8 @@ from click.testing import CliRunner, Result
 from evalkit.datasets.shard_folder import DATASET_FILE, shard_name
 from simgen.building.build import build
 from simgen.commands.cli import cli
-from simgen.config import debug
 from simgen.objects.prepare import prepare_object
+from simgen.presets import debug
 from simgen.scenes.plan import plan
 
 

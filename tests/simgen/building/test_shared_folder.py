@@ -18,8 +18,9 @@ from evalkit.errors import InputError
 from simgen.building.build import build
 from simgen.building.shard_locks import shards_locked
 from simgen.commands.cli import cli
-from simgen.config import debug, parse_shards
+from simgen.commands.parsing import parse_shards
 from simgen.objects.prepare import prepare_object
+from simgen.presets import debug
 from simgen.scenes.job import Job
 from simgen.scenes.plan import plan
 

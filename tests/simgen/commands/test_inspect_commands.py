@@ -19,7 +19,7 @@ from evalkit.datasets.shard_format import ShardHeader
 from evalkit.datasets.shard_writer import ShardWriter
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
-from simgen.commands.inspect import object_command, preview_command, verify_command
+from simgen.commands.inspect_commands import object_command, preview_command, verify_command
 from simgen.objects import prepare as meshes
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from simgen.config import BinSize, PileConfig
+from simgen.config_sections import BinSize, PileConfig
 from simgen.physics.bin_shape import bin_mesh, wall_boxes
 from simgen.physics.bin_size import PACKING, fill_level, fitting_bin, scene_bin, smallest_bin
 

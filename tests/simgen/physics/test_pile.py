@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry import poses
-from simgen.config import BinSize, PhysicsConfig, PileConfig
+from simgen.config_sections import BinSize, PhysicsConfig, PileConfig
 from simgen.physics.bin_size import fitting_bin
 from simgen.physics.body import Body, center_of_mass
 from simgen.physics.pile import Pile, simulate_pile

@@ -17,7 +17,7 @@ from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from simgen.config import BinSize
+from simgen.config_sections import BinSize
 from simgen.objects.builtin import BUILTIN_OBJECTS
 from simgen.physics.bin_shape import bin_mesh
 from simgen.rendering import gl_platform

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from simgen.rendering.rasterizer import Rasterizer, Rendering, faces_outward
+from simgen.rendering.outward import faces_outward
+from simgen.rendering.rasterizer import Rasterizer, Rendering
 
 CAMERA = Camera(160, 120, 150.0, 155.0, 78.3, 60.9)
 FLOOR = (np.array([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))

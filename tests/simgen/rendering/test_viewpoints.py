@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from simgen.config import PRESETS, BinSize, ViewpointConfig, default_camera
+from simgen.config_sections import BinSize, ViewpointConfig
+from simgen.presets import PRESETS, default_camera
 from simgen.rendering.viewpoints import distance_range, draw_viewpoints, farthest_ground, max_tilt
 
 CONFIG = ViewpointConfig()

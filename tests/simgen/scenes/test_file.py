@@ -24,8 +24,8 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from simgen.building.scenes_file import simulate
 from simgen.commands.cli import cli
-from simgen.config import debug
 from simgen.objects.prepare import prepare_object
+from simgen.presets import debug
 from simgen.scenes.file import SCHEMA, job_of_scenes, read_scenes, write_scenes
 from simgen.scenes.job import Job
 from simgen.scenes.journal import SUFFIX, SimulatedScenes, scene_journal

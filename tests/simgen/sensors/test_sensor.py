@@ -18,8 +18,8 @@ from evalkit.geometry.camera import Camera
 from simgen.building.verify import verify_shards
 from simgen.commands.cli import cli
 from simgen.sensors import sensor as model
-from simgen.sensors.config import SENSORS, SensorConfig, kinect, parse_sensor, stereo
 from simgen.sensors.sensor import measure, sensor_generator
+from simgen.sensors.sensor_config import SENSORS, SensorConfig, kinect, parse_sensor, stereo
 
 CAMERA = Camera(320, 240, 576.0, 560.0, 159.5, 119.5)
 PERFECT = SensorConfig("perfect", 0.06, 0.0, 0.0, 1e-4, 0.0, 0.0, 1.0, 0.5, 0.0, 0.0, 89.9)

@@ -18,8 +18,8 @@ from click.testing import CliRunner
 from evalkit.errors import InputError
 from simgen.building.build import build
 from simgen.commands.cli import cli
-from simgen.config import debug
 from simgen.objects.prepare import prepare_object
+from simgen.presets import debug
 from simgen.scenes.job import Job
 from simgen.scenes.plan import plan
 from simgen.workers.dask import dask_cluster, worker_state

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,6 @@ from evalkit.geometry.camera import Camera
 DEPTH_UNIT = 1e-4  # metres a step of what is written; the farthest is 6.55 m
 HIGHEST = np.iinfo(np.uint16).max
 FAST_PNG = 1  # zlib's level; masks and depth gain little from more
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -58,23 +56,6 @@ def _write_png(path: Path, image: DepthImage) -> None:
     encoded = cv2.imencode(".png", np.where(steps <= HIGHEST, steps, 0).astype(np.uint16))[1]
     with atomic_path(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image; of a PNG only the header is read.
-
-    Raises:
-        InputError: it is no image.
-    """
-    with open(path, "rb") as file:
-        head = file.read(24)
-    if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR":
-        width, height = struct.unpack(">II", head[16:24])
-        return width, height
-    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if values is None:
-        raise InputError(f"{path}: is not a readable image; fetch it again.")
-    return values.shape[1], values.shape[0]
 
 
 def read_raw_depth(path: Path) -> NDArray[Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evalkit.datasets.documents import FARTHEST, ROTATION_TOLERANCE
+from evalkit.datasets.pose_rows import FARTHEST, ROTATION_TOLERANCE
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 

@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import checked_poses, csv_rows, image_id, numbers
-from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions, load_json
+from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from evalkit.json_file import load_json
 from evalkit.meshes.load import load_object
 
 Array = NDArray[np.float64]

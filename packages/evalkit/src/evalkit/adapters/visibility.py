@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.fields import numbers
-from evalkit.datasets.documents import load_json
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
+from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel, sample_surface, surface_moments
 
 Array = NDArray[np.float64]

@@ -9,12 +9,13 @@ from typing import Any
 import click
 
 from evalkit.atomic import sha256_of_file, write_json
-from evalkit.commands.camera import camera
+from evalkit.commands.camera_command import camera
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands
 from evalkit.datasets import documents
 from evalkit.scoring.distances import CRITERIA
-from evalkit.scoring.evaluation import Result, average_precision
+from evalkit.scoring.evaluation import average_precision
+from evalkit.scoring.result import Result
 from evalkit.scoring.rules import PROTOCOLS
 
 FILE = click.Path(path_type=Path)
@@ -87,7 +88,7 @@ def ap(
         inputs = described_inputs(predictions=preds, ground_truth=gt)
         write_json(json_path, {**result.to_json(), **more, "inputs": inputs}, indent=1)
     if plot_path is not None:
-        from evalkit.drawing.plots import save_precision_recall
+        from evalkit.drawing.precision_recall_plot import save_precision_recall
 
         save_precision_recall(result, plot_path)
     click.echo("\n".join(lines))
@@ -173,7 +174,7 @@ def picture(
     preds: Path, gt: Path, shards: Path, output: Path, image_ids: tuple[str, ...], count: int, **rules: Any
 ) -> None:
     """Draw true, false, ignored and missed poses over their depth images, beside the precision-recall curve."""
-    from evalkit.drawing.picture import save_picture
+    from evalkit.drawing.evaluation_picture import save_picture
 
     predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
     result = save_picture(output, predictions, truth, shards, image_ids, count, **rules)

@@ -21,24 +21,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
+from evalkit.datasets.pose_rows import Layout, Rows, checked_poses, first_fault, row_dicts, to_arrays
 from evalkit.errors import InputError
-from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
+from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]
 GT_FORMAT = "binpose-gt/1"
 PREDS_FORMAT = "binpose-preds/1"
 FRAMES = ("camera", "world")
-ROTATION_TOLERANCE = 5e-3  # published matrices are rounded to as few as three digits
 LARGEST = 1e9  # seconds or metres; the integers that JSON may hold are no floats beyond 1e308
-FARTHEST = 50.0  # metres; a bin-picking camera looks at nothing beyond, but millimetres read as metres lie there
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,25 +97,8 @@ class Predictions:
         return self.object if isinstance(self.object, str) else str(self.object.get("name") or "")
 
 
-class _Rows(NamedTuple):
-    """Instances or hypotheses of one image as arrays."""
-
-    rotation: Array  # (n, 3, 3)
-    translation: Array  # (n, 3)
-    value: Array  # (n,) visibility or score
-
-
-class _Layout(NamedTuple):
-    """What differs between the two documents."""
-
-    format: str
-    rows: str
-    row: str
-    value: str
-
-
-_GT = _Layout(GT_FORMAT, "instances", "instance", "visibility")
-_PREDS = _Layout(PREDS_FORMAT, "hypotheses", "hypothesis", "score")
+_GT = Layout(GT_FORMAT, "instances", "instance", "visibility")
+_PREDS = Layout(PREDS_FORMAT, "hypotheses", "hypothesis", "score")
 
 
 def read_ground_truth(path: Path | str) -> GroundTruth:
@@ -138,7 +120,7 @@ def read_ground_truth(path: Path | str) -> GroundTruth:
     cameras = [_camera(path, entry) for entry in entries]
     images = [
         GroundTruthImage(*parts)
-        for parts in zip(ids, cameras, _poses(_places(path, ids), rows, _GT), _values(rows), strict=True)
+        for parts in zip(ids, cameras, checked_poses(_places(path, ids), rows, _GT), _values(rows), strict=True)
     ]
     return GroundTruth(model, images, _frame(path, document), str(path))
 
@@ -156,7 +138,7 @@ def read_predictions(path: Path | str) -> Predictions:
     times = [_time(path, entry) for entry in entries]
     images = [
         PredictionImage(*parts)
-        for parts in zip(ids, _poses(_places(path, ids), rows, _PREDS), _values(rows), times, strict=True)
+        for parts in zip(ids, checked_poses(_places(path, ids), rows, _PREDS), _values(rows), times, strict=True)
     ]
     return Predictions(_object_reference(path, document.get("object")), images, _frame(path, document), str(path))
 
@@ -185,41 +167,12 @@ def write_predictions(path: Path | str, predictions: Predictions) -> None:
     _write(path, head, lines)
 
 
-def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
-    """A list of ``{"R", "t", value_field}`` of anybody's to poses (n, 4, 4) and values (n,), checked like our own.
-
-    Raises:
-        InputError: an entry lacks a field, or holds what is no rotation or no number of metres.
-    """
-    layout = _Layout("", "list of poses", "entry", value_field)
-    arrays = _to_arrays(rows, layout) if isinstance(rows, list) else None
-    if arrays is None:
-        raise InputError(f"{where}: {_first_fault(rows, layout)}")
-    return _poses([where], [arrays], layout)[0], arrays.value
-
-
-def load_json(path: Path | str, object_hook: Any = None) -> Any:
-    """Parse a JSON file of anybody's.
-
-    Raises:
-        InputError: it is not UTF-8, truncated, not JSON, or nested too deep.
-        OSError: the file cannot be read.
-    """
-    try:
-        text = Path(path).read_bytes().decode("utf-8-sig")  # some editors write a byte order mark
-        return json.loads(text, object_hook=object_hook)
-    except RecursionError:
-        raise InputError(f"{path}: the JSON is nested too deep to be a document of ours.") from None
-    except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
-        raise InputError(f"{path}: not a valid JSON file ({error}); is it truncated?") from None
-
-
-def _read(path: Path | str, layout: _Layout) -> dict[str, Any]:
+def _read(path: Path | str, layout: Layout) -> dict[str, Any]:
     def compact(entry: dict[str, Any]) -> dict[str, Any]:
         """Turn an image's rows into arrays while the file is parsed: a tenth of the memory."""
         rows = entry.get(layout.rows)
         if isinstance(rows, list) and "id" in entry:
-            arrays = _to_arrays(rows, layout)
+            arrays = to_arrays(rows, layout)
             entry[layout.rows] = rows if arrays is None else arrays
         return entry
 
@@ -230,7 +183,7 @@ def _read(path: Path | str, layout: _Layout) -> dict[str, Any]:
     return document
 
 
-def _entries(path: Path | str, document: dict[str, Any], layout: _Layout) -> list[dict[str, Any]]:
+def _entries(path: Path | str, document: dict[str, Any], layout: Layout) -> list[dict[str, Any]]:
     """The images, each with a unique id and its rows as arrays."""
     images = document.get("images")
     if not isinstance(images, list):
@@ -245,74 +198,16 @@ def _entries(path: Path | str, document: dict[str, Any], layout: _Layout) -> lis
         if name in seen:
             raise InputError(f"{path}: image '{name}': the 'id' occurs twice; give each image one entry.")
         seen.add(name)
-        if not isinstance(entry.get(layout.rows), _Rows):
-            raise InputError(f"{path}: image '{name}': {_first_fault(entry.get(layout.rows), layout)}")
+        if not isinstance(entry.get(layout.rows), Rows):
+            raise InputError(f"{path}: image '{name}': {first_fault(entry.get(layout.rows), layout)}")
     return images
-
-
-def _to_arrays(rows: list[Any], layout: _Layout) -> _Rows | None:
-    rotation, translation, value = _column(rows, "R", (3, 3)), _column(rows, "t", (3,)), _column(rows, layout.value, ())
-    if rotation is None or translation is None or value is None:
-        return None
-    return _Rows(rotation, translation, value)
-
-
-def _column(rows: list[Any], key: str, shape: tuple[int, ...]) -> Array | None:
-    """One field of all rows as an array (n, *shape), None unless every one is there and holds numbers only."""
-    if not rows:
-        return np.zeros((0, *shape))
-    try:
-        column = np.array([row[key] for row in rows])
-    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
-        return None
-    fits = column.dtype.kind in "iuf" and column.shape == (len(rows), *shape)
-    return column.astype(np.float64) if fits else None
-
-
-def _first_fault(rows: Any, layout: _Layout) -> str:
-    """What is wrong with an image's rows, which :func:`_to_arrays` refused."""
-    if not isinstance(rows, list):
-        return f"the field '{layout.rows}' must be a list."
-    wanted = (("R", (3, 3), "a 3x3 matrix of numbers"), ("t", (3,), "three numbers"), (layout.value, (), "a number"))
-    for index, row in enumerate(rows):
-        if not isinstance(row, dict):
-            return f"{layout.row} {index} must be an object with 'R', 't' and '{layout.value}'."
-        for key, shape, words in wanted:
-            if key not in row:
-                return f"{layout.row} {index}: the field '{key}' is missing."
-            if _column([row], key, shape) is None:
-                return f"{layout.row} {index}: the field '{key}' must be {words}."
-    return f"the field '{layout.rows}' mixes kinds of values."
 
 
 def _places(path: Path | str, ids: list[str]) -> list[str]:
     return [f"{path}: image '{name}'" for name in ids]
 
 
-def _poses(places: Sequence[str], rows: Sequence[_Rows], layout: _Layout) -> list[Array]:
-    """The images' poses (n, 4, 4), checked in one go; `places` names the images in messages."""
-    counts = [len(row.value) for row in rows]
-    rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
-    translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
-    value = np.concatenate([row.value for row in rows] or [np.zeros(0)])
-    laws = [
-        (np.isfinite(rotation).all((1, 2)), "'R' holds a number that is not finite"),
-        (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
-        (np.isfinite(value), f"'{layout.value}' is not finite"),
-        (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
-        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give metres, not millimetres"),
-    ]
-    for holds, complaint in laws:
-        if not holds.all():
-            first = int(np.flatnonzero(~holds)[0])
-            image = int(np.searchsorted(np.cumsum(counts), first, side="right"))
-            number = first - sum(counts[:image])
-            raise InputError(f"{places[image]}: {layout.row} {number}: the field {complaint}.")
-    stacked = poses.from_rotation_translation(rotation, translation)
-    return np.split(stacked, np.cumsum(counts)[:-1]) if counts else []
-
-
-def _values(rows: Sequence[_Rows]) -> list[Array]:
+def _values(rows: Sequence[Rows]) -> list[Array]:
     return [row.value for row in rows]
 
 
@@ -359,13 +254,6 @@ def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
             raise InputError(f"{path}: object: the field 'diameter' must be a positive number of metres.")
         return reference
     return name or ""
-
-
-def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
-    """Poses (n, 4, 4) and values (n,) as ``[{"R", "t", key}]``."""
-    pose = np.asarray(cam_from_obj, float).reshape(-1, 4, 4)
-    columns = pose[:, :3, :3].tolist(), pose[:, :3, 3].tolist(), np.asarray(value, float).tolist()
-    return [{"R": r, "t": t, key: v} for r, t, v in zip(*columns, strict=True)]
 
 
 def _write(path: Path | str, head: dict[str, Any], images: Iterable[dict[str, Any]]) -> None:

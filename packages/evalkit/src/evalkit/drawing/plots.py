@@ -1,51 +1,19 @@
-"""Curves, drawn."""
+"""Figures: their colors and frames, and how they are written."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from evalkit.atomic import atomic_path
 from evalkit.errors import InputError
-from evalkit.scoring.distances import CRITERIA
-from evalkit.scoring.evaluation import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE, FILL, INK = "#1f5fa8", "#1f5fa822", "#444444"
+LINE, FILL, INK, GREY = "#1f5fa8", "#1f5fa822", "#444444", "#9aa1a9"
 SUFFIXES = (".png", ".svg", ".pdf")
-
-
-def draw_precision_recall(axes: Axes, result: Result) -> None:
-    """The curve as the steps that its area is measured under, with AP and the point of the best F1."""
-    curve = result.curve
-    recall, precision = np.r_[0.0, curve.recall], np.r_[curve.precision[:1], curve.precision]
-    axes.step(recall, precision, where="pre", color=LINE, linewidth=1.8)
-    axes.fill_between(recall, precision, step="pre", color=FILL, linewidth=0)
-    best = int(curve.f1.argmax())
-    axes.plot(curve.recall[best], curve.precision[best], "o", color=LINE, markersize=6, markeredgecolor="white")
-    axes.text(0.03, 0.05, _figures(result), transform=axes.transAxes, color=INK, linespacing=1.4)
-    axes.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
-    axes.set_title(title(result), loc="left", color=INK)
-    tidy(axes)
-
-
-def title(result: Result) -> str:
-    """One line: the figure and the rules it follows."""
-    settings = result.settings
-    return (
-        f"AP {result.ap:.3f}   {rule(settings.criterion, settings.threshold)}, "
-        f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
-    )
-
-
-def rule(criterion: str, threshold: float) -> str:
-    """Such as "Sym ≤ 0.1 d": d are diameters."""
-    return f"{CRITERIA[criterion].title} ≤ {threshold:g} {'px' if CRITERIA[criterion].in_pixels else 'd'}"
 
 
 def tidy(axes: Axes) -> None:
@@ -53,20 +21,6 @@ def tidy(axes: Axes) -> None:
     axes.grid(color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _figures(result: Result) -> str:
-    return (
-        f"MAP {result.map:.3f}\nbest F1 {result.best_f1:.3f} (dot)\n"
-        f"recall at precision 0.99: {result.recall_at_precision_99:.3f}"
-    )
-
-
-def save_precision_recall(result: Result, path: Path | str) -> None:
-    """Write the curve as PNG, or as what the suffix says."""
-    figure = new_figure(6.4, 5.0)
-    draw_precision_recall(figure.add_subplot(), result)
-    save(figure, path)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -98,7 +98,7 @@ def _one_of_a_scene(document: Any, path: Path) -> Any:
             f"{path}: its images have different cameras; give 'posenet predict' the scene's folder, {path.parent}, "
             "which reads each image with its own."
         )
-    from evalkit.adapters.depth_images import image_size
+    from evalkit.image_file import image_size  # slow to import
 
     pictures = (file for kind in ("depth", "rgb", "gray") for file in sorted((path.parent / kind).glob("*.*")))
     picture = next(pictures, None)

@@ -8,17 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart
-from evalkit.drawing.plots import INK, LINE, draw_precision_recall, rule, tidy
+from evalkit.drawing.plots import GREY, INK, LINE, tidy
+from evalkit.drawing.precision_recall_plot import draw_precision_recall, rule
 from evalkit.scoring.breakdown import CriterionAp, PoseErrors, VisibilityAp
 from evalkit.scoring.distances import CRITERIA
-from evalkit.scoring.evaluation import Result
 from evalkit.scoring.matching import DUPLICATE, FALSE, IGNORED, TRUE
+from evalkit.scoring.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-GREEN, RED, GREY, PALE = "#2f9e44", "#d9413b", "#9aa1a9", "#b9cfe8"
+GREEN, RED, PALE = "#2f9e44", "#d9413b", "#b9cfe8"
 SCORE_BINS, ERROR_BINS = 40, 40
 SMALLEST_ERROR = 1e-3  # degrees or millimetres; no camera tells less
 LARGEST_SCORE, LEAST_SCORE_SPAN = 1e15, 1e-9  # beyond and below which no axis can be drawn

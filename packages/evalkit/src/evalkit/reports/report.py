@@ -13,15 +13,16 @@ from evalkit.atomic import atomic_path, write_text
 from evalkit.datasets.documents import GroundTruth, Predictions
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.drawing.chart import Chart, write_csv
+from evalkit.drawing.evaluation_picture import Confident, frames_by_id, spread, with_mesh_of
 from evalkit.drawing.page import require_page_name
-from evalkit.drawing.picture import Confident, frames_by_id, spread, with_mesh_of
 from evalkit.errors import InputError
 from evalkit.reports import charts
 from evalkit.reports.report_page import Content, Overlay, render
 from evalkit.scoring import breakdown
 from evalkit.scoring.bootstrap import intervals, scene_numbers
 from evalkit.scoring.breakdown import ImageRow
-from evalkit.scoring.evaluation import Result, Subject, average_precision
+from evalkit.scoring.evaluation import Subject, average_precision
+from evalkit.scoring.result import Result
 
 RESAMPLES = 1000
 FEWEST_SCENES = 10  # resamples of fewer say little about chance

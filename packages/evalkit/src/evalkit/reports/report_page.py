@@ -13,15 +13,15 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart
+from evalkit.drawing.evaluation_picture import LEGEND
 from evalkit.drawing.page import counted, render_page
-from evalkit.drawing.picture import LEGEND
-from evalkit.drawing.plots import rule
+from evalkit.drawing.precision_recall_plot import rule
 from evalkit.objects.model import ObjectModel
 from evalkit.scoring import published
 from evalkit.scoring.bootstrap import LEVEL, Interval
 from evalkit.scoring.breakdown import ImageRow
-from evalkit.scoring.evaluation import Result, evalkit_version
 from evalkit.scoring.published import Condition, Table
+from evalkit.scoring.result import Result, evalkit_version
 
 ROWS_SHOWN, ROWS_UNFOLDED = 12, 500
 JPEG_QUALITY = 88

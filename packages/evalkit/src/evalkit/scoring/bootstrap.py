@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
-from evalkit.scoring.evaluation import Result
+from evalkit.scoring.result import Result
 
 Array = NDArray[np.float64]
 LEVEL = 0.95

@@ -12,7 +12,7 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from evalkit.scoring.distances import CRITERIA, Sym
-from evalkit.scoring.evaluation import Result, Subject
+from evalkit.scoring.evaluation import Subject
 from evalkit.scoring.matching import (
     DUPLICATE,
     FALSE,
@@ -24,6 +24,7 @@ from evalkit.scoring.matching import (
     match_mutual,
     within,
 )
+from evalkit.scoring.result import Result
 from evalkit.scoring.rules import Settings
 
 Array = NDArray[np.float64]

@@ -14,8 +14,9 @@ import numpy as np
 
 from evalkit.datasets.documents import GroundTruth, Predictions
 from evalkit.errors import InputError
-from evalkit.scoring.evaluation import Subject, evalkit_version
+from evalkit.scoring.evaluation import Subject
 from evalkit.scoring.matching import within
+from evalkit.scoring.result import evalkit_version
 from evalkit.scoring.rules import Settings
 
 MIN_VISIBILITY = 0.1

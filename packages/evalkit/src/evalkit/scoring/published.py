@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from evalkit.scoring.bootstrap import OUR_IMAGE_ID
-from evalkit.scoring.evaluation import Result
+from evalkit.scoring.result import Result
 
 PAPER = (
     "Sock, Kim, Sahin & Kim: Multi-Task Deep Networks for Depth-Based 6D Object Pose and Joint Registration in Crowd "

@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 
 from evalkit.commands.group import Commands
-from simgen.commands.build import build_command, render_command, simulate_command
-from simgen.commands.export import export_command
-from simgen.commands.inspect import object_command, preview_command, verify_command, view_command
+from simgen.commands.build_commands import build_command, render_command, simulate_command
+from simgen.commands.export_commands import export_command
+from simgen.commands.inspect_commands import object_command, preview_command, verify_command, view_command
 
 
 @click.group(cls=Commands)

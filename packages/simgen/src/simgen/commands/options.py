@@ -14,8 +14,10 @@ import click
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.meshes.units import CHOICES
-from simgen.config import PRESETS, RENDERERS, BuildConfig, default_camera, parse_bin, parse_instances, parse_range
-from simgen.sensors.config import parse_sensor
+from simgen.commands.parsing import parse_bin, parse_instances, parse_range
+from simgen.config import RENDERERS, BuildConfig
+from simgen.presets import PRESETS, default_camera
+from simgen.sensors.sensor_config import parse_sensor
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

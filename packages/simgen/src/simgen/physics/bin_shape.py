@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simgen.config import BinSize
+from simgen.config_sections import BinSize
 
 Array = NDArray[np.float64]
 WALL_THICKNESS = 0.03  # of the longer side

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 from evalkit.errors import InputError
 from evalkit.objects.model import ObjectModel
-from simgen.config import BinSize, PileConfig
+from simgen.config_sections import BinSize, PileConfig
 
 BIN_STAGE = 4  # second word of the spawn key; drops and viewpoints use others
 PACKING = 0.6  # share of the bin's volume that convex hulls fill at most: round things would roll off a higher pile

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry import poses
-from simgen.config import BinSize, PhysicsConfig, PileConfig
+from simgen.config_sections import BinSize, PhysicsConfig, PileConfig
 from simgen.physics.bin_size import DEFAULT_PILE
 from simgen.physics.body import Body
 from simgen.physics.world import World

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry import poses
-from simgen.config import BinSize, PhysicsConfig
+from simgen.config_sections import BinSize, PhysicsConfig
 from simgen.physics.bin_shape import wall_boxes
 from simgen.physics.body import Body
 from simgen.physics.bullet import pybullet

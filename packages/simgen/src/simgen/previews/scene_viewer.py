@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from evalkit.datasets.scene import View
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
-from simgen.config import BinSize
+from simgen.config_sections import BinSize
 from simgen.previews.sheet import instance_colors
 
 MAX_FACES = 3000  # of the drawn mesh

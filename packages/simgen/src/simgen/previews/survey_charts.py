@@ -11,8 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart
-from evalkit.drawing.plots import INK, LINE, tidy
-from evalkit.reports.charts import GREY
+from evalkit.drawing.plots import GREY, INK, LINE, tidy
 from simgen.previews.survey import CLEAR, Survey
 
 VISIBILITY_BINS, ANGLE_BINS = 20, 18

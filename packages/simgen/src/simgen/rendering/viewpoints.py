@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
-from simgen.config import BinSize, ViewpointConfig
+from simgen.config_sections import BinSize, ViewpointConfig
 
 Array = NDArray[np.float64]
 VIEW_STAGE = 1  # second word of the spawn key; the drop uses another

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from evalkit.datasets.shard_format import ShardHeader
 from evalkit.objects.model import ObjectModel
-from simgen.config import BinSize, BuildConfig
+from simgen.config import BuildConfig
+from simgen.config_sections import BinSize
 from simgen.physics.bin_size import scene_bin
 from simgen.scenes.identity import fingerprint, identity_of
 from simgen.scenes.recorded import RecordedScenes

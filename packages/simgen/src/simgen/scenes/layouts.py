@@ -16,7 +16,8 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.meshes.read import FORMATS, read_mesh
 from evalkit.objects.model import ObjectModel
-from simgen.config import BinSize, BuildConfig
+from simgen.config import BuildConfig
+from simgen.config_sections import BinSize
 from simgen.physics.bin_shape import ground_half_side
 from simgen.scenes.identity import fingerprint
 from simgen.scenes.job import Job

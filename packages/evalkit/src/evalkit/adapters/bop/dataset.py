@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.bop.object import METRES, read_object
 from evalkit.adapters.bop.scenes import Scene, dataset_folder, find_scenes
-from evalkit.adapters.depth_images import DepthImage, image_size
+from evalkit.adapters.depth_images import DepthImage
 from evalkit.adapters.fields import checked_poses, image_id, numbers
 from evalkit.adapters.visibility import SYNTAX, Visibility
-from evalkit.datasets.documents import GroundTruth, GroundTruthImage, load_json
+from evalkit.datasets.documents import GroundTruth, GroundTruthImage
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from evalkit.image_file import image_size
+from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.fields import numbers
-from evalkit.datasets.documents import load_json
 from evalkit.errors import InputError
 from evalkit.geometry import poses
+from evalkit.json_file import load_json
 from evalkit.meshes.load import load_object
 from evalkit.meshes.units import check_size
 from evalkit.objects.model import THRESHOLD_RATIO, ObjectModel

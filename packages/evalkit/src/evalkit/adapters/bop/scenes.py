@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.bop.object import METRES
 from evalkit.adapters.depth_images import read_raw_depth
-from evalkit.datasets.documents import load_json
 from evalkit.errors import InputError
+from evalkit.json_file import load_json
 
 Array = NDArray[np.float64]
 IMAGE_KINDS = ("depth", "gray", "rgb")

@@ -20,18 +20,12 @@ from numpy.typing import NDArray
 from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import numbers
 from evalkit.atomic import write_json
-from evalkit.datasets.documents import (
-    GroundTruth,
-    GroundTruthImage,
-    PredictionImage,
-    Predictions,
-    load_json,
-    parse_rows,
-    row_dicts,
-)
+from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.datasets.pose_rows import parse_rows, row_dicts
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
+from evalkit.json_file import load_json
 from evalkit.meshes.read import read_mesh
 from evalkit.objects.model import SAMPLE_POINTS, THRESHOLD_RATIO, ObjectModel, sample_surface
 from evalkit.objects.symmetry import Symmetry

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from evalkit.adapters.depth_images import HIGHEST, write_png
 from evalkit.adapters.sileane.dataset import CAMERA_FILE
 from evalkit.atomic import write_json, write_text
-from evalkit.datasets.documents import row_dicts
+from evalkit.datasets.pose_rows import row_dicts
 from evalkit.datasets.scene import View
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera

@@ -16,9 +16,11 @@ import pytest
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
-from simgen.config import BinSize, BuildConfig, PileConfig, default_camera
+from simgen.config import BuildConfig
+from simgen.config_sections import BinSize, PileConfig
 from simgen.physics.bin_size import recorded_bin, scene_bin
-from simgen.previews.page import preview_page
+from simgen.presets import default_camera
+from simgen.previews.preview_page import preview_page
 from simgen.previews.scene_viewer import MAX_FACES, drawn_mesh, measured_points, scene_document, viewer_script
 from simgen.previews.sheet import instance_colors, spread_frames
 

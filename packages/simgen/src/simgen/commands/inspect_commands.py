@@ -63,7 +63,7 @@ def preview_command(shards: Path, output: Path, frames: int) -> None:
     from evalkit.atomic import write_text
     from evalkit.datasets.shard_folder import ShardDataset
     from evalkit.drawing import page, plots
-    from simgen.previews.page import preview_page
+    from simgen.previews.preview_page import preview_page
     from simgen.previews.sheet import contact_sheet, spread_frames
 
     if output.suffix.lower() not in (*plots.SUFFIXES, *page.SUFFIXES):

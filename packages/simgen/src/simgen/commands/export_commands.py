@@ -28,7 +28,7 @@ def bop_command(shards: Path, out: Path, split: str) -> None:
     bop_toolkit reads it when its dataset_params.py knows a set of that name; `evalkit gt --from bop OUT/test` does so.
     """
     from evalkit.errors import InputError
-    from simgen.exports.export import export_bop, open_whole
+    from simgen.exports.foreign_formats import export_bop, open_whole
 
     if Path(split).name != split or split.startswith((".", "models")):
         raise InputError(f"--split {split}: give a plain folder name such as test or train_pbr.")
@@ -43,7 +43,7 @@ def bop_command(shards: Path, out: Path, split: str) -> None:
 @click.argument("out", type=FOLDER)
 def sileane_command(shards: Path, out: Path) -> None:
     """An object's folder of the Siléane dataset: gt, depth, segmentation, camera_params.txt, mesh, poseutils.json."""
-    from simgen.exports.export import export_sileane, open_whole
+    from simgen.exports.foreign_formats import export_sileane, open_whole
 
     dataset = open_whole(shards)
     with _bar(len(dataset)) as bar:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit import GroundTruth, GroundTruthImage, PredictionImage, Predictions, average_precision
-from evalkit.scoring.curves import COCO_RECALLS, Curve
+from evalkit.scoring.precision_recall import COCO_RECALLS, Curve
 
 
 def curve(precision, recall):

@@ -20,7 +20,9 @@ from simgen.commands.options import (
     some_shards_option,
     workers_option,
 )
-from simgen.config import PRESETS, BuildConfig, parse_shards
+from simgen.commands.parsing import parse_shards
+from simgen.config import BuildConfig
+from simgen.presets import PRESETS
 from simgen.rendering.gl_platform import require_gl
 
 if TYPE_CHECKING:

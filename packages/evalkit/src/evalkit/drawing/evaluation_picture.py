@@ -18,11 +18,13 @@ from evalkit.datasets.documents import GroundTruth, GroundTruthImage, Prediction
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.drawing.overlays import BLUE, GREEN, GREY, RED, WHITE, Color, draw_poses
-from evalkit.drawing.plots import INK, draw_precision_recall, new_figure, save
+from evalkit.drawing.plots import INK, new_figure, save
+from evalkit.drawing.precision_recall_plot import draw_precision_recall
 from evalkit.errors import InputError
 from evalkit.objects.model import ObjectModel
-from evalkit.scoring.evaluation import ImageOutcome, Result, average_precision
+from evalkit.scoring.evaluation import average_precision
 from evalkit.scoring.matching import DUPLICATE, FALSE, IGNORED, TRUE
+from evalkit.scoring.result import ImageOutcome, Result
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from evalkit.adapters.bop import dataset as bop
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets.ground_truth import read_ground_truth
 from evalkit.datasets.shard_folder import ShardDataset
-from simgen.exports import export
-from simgen.exports.export import export_bop, export_sileane, open_whole
+from simgen.exports import foreign_formats as export
+from simgen.exports.foreign_formats import export_bop, export_sileane, open_whole
 
 
 def ignore(frames):

@@ -1,0 +1,112 @@
+"""Lists of poses in JSON, ``[{"R", "t", value}]``: as arrays and back, checked, with the first fault named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.errors import InputError
+from evalkit.geometry import poses
+
+Array = NDArray[np.float64]
+
+ROTATION_TOLERANCE = 5e-3  # published matrices are rounded to as few as three digits
+FARTHEST = 50.0  # metres; a bin-picking camera looks at nothing beyond, but millimetres read as metres lie there
+
+
+class Rows(NamedTuple):
+    """Instances or hypotheses of one image as arrays."""
+
+    rotation: Array  # (n, 3, 3)
+    translation: Array  # (n, 3)
+    value: Array  # (n,) visibility or score
+
+
+class Layout(NamedTuple):
+    """How a document calls its rows and the value of each: it differs between gt.json and preds.json."""
+
+    format: str
+    rows: str
+    row: str
+    value: str
+
+
+def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
+    """A list of ``{"R", "t", value_field}`` of anybody's to poses (n, 4, 4) and values (n,), checked like our own.
+
+    Raises:
+        InputError: an entry lacks a field, or holds what is no rotation or no number of metres.
+    """
+    layout = Layout("", "list of poses", "entry", value_field)
+    arrays = to_arrays(rows, layout) if isinstance(rows, list) else None
+    if arrays is None:
+        raise InputError(f"{where}: {first_fault(rows, layout)}")
+    return checked_poses([where], [arrays], layout)[0], arrays.value
+
+
+def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
+    """Poses (n, 4, 4) and values (n,) as ``[{"R", "t", key}]``."""
+    pose = np.asarray(cam_from_obj, float).reshape(-1, 4, 4)
+    columns = pose[:, :3, :3].tolist(), pose[:, :3, 3].tolist(), np.asarray(value, float).tolist()
+    return [{"R": r, "t": t, key: v} for r, t, v in zip(*columns, strict=True)]
+
+
+def to_arrays(rows: list[Any], layout: Layout) -> Rows | None:
+    rotation, translation, value = _column(rows, "R", (3, 3)), _column(rows, "t", (3,)), _column(rows, layout.value, ())
+    if rotation is None or translation is None or value is None:
+        return None
+    return Rows(rotation, translation, value)
+
+
+def _column(rows: list[Any], key: str, shape: tuple[int, ...]) -> Array | None:
+    """One field of all rows as an array (n, *shape), None unless every one is there and holds numbers only."""
+    if not rows:
+        return np.zeros((0, *shape))
+    try:
+        column = np.array([row[key] for row in rows])
+    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
+        return None
+    fits = column.dtype.kind in "iuf" and column.shape == (len(rows), *shape)
+    return column.astype(np.float64) if fits else None
+
+
+def first_fault(rows: Any, layout: Layout) -> str:
+    """What is wrong with an image's rows, which :func:`to_arrays` refused."""
+    if not isinstance(rows, list):
+        return f"the field '{layout.rows}' must be a list."
+    wanted = (("R", (3, 3), "a 3x3 matrix of numbers"), ("t", (3,), "three numbers"), (layout.value, (), "a number"))
+    for index, row in enumerate(rows):
+        if not isinstance(row, dict):
+            return f"{layout.row} {index} must be an object with 'R', 't' and '{layout.value}'."
+        for key, shape, words in wanted:
+            if key not in row:
+                return f"{layout.row} {index}: the field '{key}' is missing."
+            if _column([row], key, shape) is None:
+                return f"{layout.row} {index}: the field '{key}' must be {words}."
+    return f"the field '{layout.rows}' mixes kinds of values."
+
+
+def checked_poses(places: Sequence[str], rows: Sequence[Rows], layout: Layout) -> list[Array]:
+    """The images' poses (n, 4, 4), checked in one go; `places` names the images in messages."""
+    counts = [len(row.value) for row in rows]
+    rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
+    translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
+    value = np.concatenate([row.value for row in rows] or [np.zeros(0)])
+    laws = [
+        (np.isfinite(rotation).all((1, 2)), "'R' holds a number that is not finite"),
+        (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
+        (np.isfinite(value), f"'{layout.value}' is not finite"),
+        (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
+        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give metres, not millimetres"),
+    ]
+    for holds, complaint in laws:
+        if not holds.all():
+            first = int(np.flatnonzero(~holds)[0])
+            image = int(np.searchsorted(np.cumsum(counts), first, side="right"))
+            number = first - sum(counts[:image])
+            raise InputError(f"{places[image]}: {layout.row} {number}: the field {complaint}.")
+    stacked = poses.from_rotation_translation(rotation, translation)
+    return np.split(stacked, np.cumsum(counts)[:-1]) if counts else []

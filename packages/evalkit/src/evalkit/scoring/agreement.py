@@ -1,0 +1,62 @@
+"""Whether predictions and ground truth belong together: the same object, images, frame and unit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.datasets.documents import GroundTruth, Predictions
+from evalkit.errors import InputError
+from evalkit.objects.model import ObjectModel
+
+DIAMETER_TOLERANCE = 0.01  # of the diameter: two libraries' readings of one mesh agree far better, two units never
+IMPLAUSIBLE_RATIO = 100.0  # a hypothesis this many times farther than every instance is in another unit
+
+
+def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
+    """Check that the documents speak of the same object, images, frame and unit.
+
+    Raises:
+        InputError: they do not; the sentence names both files.
+    """
+    where = f"{predictions.source}: "
+    names = predictions.object_name, truth.object.name
+    if all(names) and names[0] != names[1]:
+        raise InputError(
+            f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
+            "where they are one, give it one name: 'evalkit gt --object NAME', or 'simgen build --name NAME'."
+        )
+    diameter = predictions.object.get("diameter") if isinstance(predictions.object, dict) else None
+    if diameter is not None and abs(diameter / truth.object.diameter - 1.0) > DIAMETER_TOLERANCE:
+        raise InputError(
+            f"{where}its object's 'diameter' is {diameter:g} m but that of {truth.source} is "
+            f"{truth.object.diameter:g} m; evaluate on ground truth of the same object."
+        )
+    if predictions.frame != truth.frame:
+        raise InputError(
+            f"{where}its poses are in the {predictions.frame} frame but those of {truth.source} are in the "
+            f"{truth.frame} frame; convert both with the same --camera-params."
+        )
+    known = {image.id for image in truth.images}
+    unknown = next((image.id for image in predictions.images if image.id not in known), None)
+    if unknown is not None:
+        raise InputError(f"{where}image '{unknown}' is not in {truth.source}; use the ground truth of the same images.")
+    _require_same_unit(predictions, truth)
+
+
+def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:
+    model = truth.object
+    reach = max((_reach(image.cam_from_obj, model) for image in truth.images), default=0.0)
+    limit = IMPLAUSIBLE_RATIO * max(reach, model.diameter)
+    far = next((image for image in predictions.images if _reach(image.cam_from_obj, model) > limit), None)
+    if far is not None:
+        away = _reach(far.cam_from_obj, model)
+        raise InputError(
+            f"{predictions.source}: image '{far.id}': the field 't' puts the object {away:g} m away where nothing in "
+            f"{truth.source} lies beyond {reach:g} m; give metres, not millimetres."
+        )
+
+
+def _reach(pose: NDArray[np.float64], model: ObjectModel) -> float:
+    """The largest coordinate of the parts' centroids; their frame's origin may lie anywhere."""
+    return float(np.abs(model.centers(pose)).max(initial=0.0))

@@ -1,0 +1,72 @@
+"""The presets: plain functions that return a config."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from evalkit.geometry.camera import Camera
+from simgen.config import BuildConfig
+from simgen.config_sections import PileConfig, ViewpointConfig
+
+FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
+
+
+def default() -> BuildConfig:
+    """The paper's: 2,000 scenes of 10 to 20 instances, 17 views each, 640 x 480."""
+    return BuildConfig(2000, 17, 10, 20, default_camera(640, 480))
+
+
+def demo() -> BuildConfig:
+    """Enough to train the small network on two CPU cores in minutes."""
+    return BuildConfig(640, 16, 10, 20, default_camera(320, 240))
+
+
+def debug() -> BuildConfig:
+    """Seconds, for tests."""
+    return BuildConfig(4, 3, 3, 5, default_camera(160, 120), shard_scenes=2)
+
+
+def sileane() -> BuildConfig:
+    """Deep heaps from above, as the Siléane dataset's synthetic scenes show them: cut by the frame, mostly hidden.
+
+    Bin, depth of the heap and distance in relation to the object, and the camera, are those of its bunny_3 scenes.
+    """
+    return BuildConfig(
+        500,
+        4,
+        20,
+        80,
+        Camera(506, 474, 1152.31, 1152.31, 139.459, 237.001),
+        pile=PileConfig(layers=1.8, aspect=1.25, wall_height=1.5, bin_jitter=0.05, drop_spread_min=0.6),
+        viewpoints=ViewpointConfig(max_tilt_degrees=5.0, nearest=0.54, farthest=0.62, look_at_jitter=0.1),
+    )
+
+
+def icvl() -> BuildConfig:
+    """A camera in the hand before a box or a bare table, as in the ICVL Bin-Picking dataset: tilted, near and far."""
+    return BuildConfig(
+        1000,
+        8,
+        10,
+        30,
+        Camera(640, 480, 550.0, 540.0, 316.0, 244.0),
+        pile=PileConfig(layers=2.0, bin_jitter=0.2, wall_probability=0.7, drop_height_max=0.5, drop_spread_min=0.6),
+        viewpoints=ViewpointConfig(
+            min_tilt_degrees=10.0, max_tilt_degrees=60.0, nearest=0.6, farthest=1.5, look_at_jitter=0.15
+        ),
+    )
+
+
+PRESETS: dict[str, Callable[[], BuildConfig]] = {
+    "default": default,
+    "sileane": sileane,
+    "icvl": icvl,
+    "demo": demo,
+    "debug": debug,
+}
+
+
+def default_camera(width: int, height: int) -> Camera:
+    """A pinhole camera of that many pixels, its principal point in the middle of the image."""
+    focal = FOCAL_PER_WIDTH * width
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
