@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry.poses import random_rotations
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 from evalkit.meshes.polygons import Polygons, triangulate
 from evalkit.meshes.read import read_mesh
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 from evalkit.meshes.polygons import Polygons
 
 TYPES = {

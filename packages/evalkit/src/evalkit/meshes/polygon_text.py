@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 from evalkit.meshes.polygons import Polygons
 
 Mesh = tuple[NDArray[np.float64], Polygons]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 
 AREA_TOLERANCE = 1e-6  # of a polygon's area: triangles that cover more or less than this are not a triangulation
 FLAT = 1e-9  # of a polygon's squared area: a corner turned backwards by less is a straight one

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.meshes import polygon_ply, polygon_text, threemf, trimesh_formats
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 from evalkit.meshes.polygons import triangulate
 
 POLYGON_READERS = {"ply": polygon_ply.read_ply, "obj": polygon_text.read_obj, "off": polygon_text.read_off}

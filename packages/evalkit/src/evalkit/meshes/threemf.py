@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.meshes.errors import MeshFileError
+from evalkit.meshes.mesh_file_error import MeshFileError
 
 UNITS = {"micron": "micron", "millimeter": "mm", "centimeter": "cm", "inch": "inch", "foot": "foot", "meter": "m"}
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/"
