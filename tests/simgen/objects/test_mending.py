@@ -115,3 +115,22 @@ def test_mending_does_not_depend_on_the_unit(body: trimesh.Trimesh, scale: float
     mesh = mend(np.array(body.vertices) * scale, np.array(body.faces, np.int64))
     assert len(mesh.vertices) == len(body.vertices)
     assert mesh.volume == pytest.approx(body.volume * scale**3)
+
+
+@pytest.mark.parametrize("away", [[0, 0, 0], [3000, 2100, 900], [0, 0, -20_000]])
+@pytest.mark.parametrize("name", BODIES)
+def test_corners_that_float32_rounded_apart_are_one(name: str, away: list[float]) -> None:
+    body = BODIES[name].copy().apply_scale(30)
+    corners = (np.asarray(body.triangles) + away).astype(np.float32)
+    step = np.random.default_rng(0).choice([-1, 0, 0, 1], corners.shape).astype(np.float32) * np.float32(1e6)
+    corners = np.nextafter(corners, corners + step)
+    mesh = mend(corners.reshape(-1, 3).astype(float), np.arange(corners.size // 3).reshape(-1, 3))
+    assert mesh.is_watertight and mesh.components == 1
+    assert len(mesh.vertices) == len(body.vertices)
+    assert mesh.volume == pytest.approx(body.volume, rel=1e-3)
+
+
+def test_fine_detail_far_from_the_origin_is_kept_where_nothing_is_open() -> None:
+    ball = trimesh.creation.icosphere(3, 0.001).apply_translation([3000, 0, 0])  # edges near a rounding of float32
+    mesh = mend(np.array(ball.vertices), np.array(ball.faces))
+    assert len(mesh.vertices) == len(ball.vertices) and mesh.is_watertight

@@ -146,7 +146,7 @@ def _repair(shards: Path, workers: int) -> None:
 
 def describe_object(prepared: PreparedObject) -> dict[str, Any]:
     """All that `simgen object` tells, as a document: lengths in millimetres, volumes in cubic centimetres."""
-    from simgen.objects.mending import signed_volume
+    from simgen.objects.winding import signed_volume
 
     model, mesh, symmetry = prepared.model, prepared.mesh, prepared.symmetry
     parts_volume = sum(signed_volume(vertices, faces) for vertices, faces in prepared.convex_parts)

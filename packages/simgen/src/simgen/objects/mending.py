@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from simgen.objects.winding import signed_volume, wound_outwards
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 WELD = 1e-7  # of the size: vertices closer than this are one
-MANY_FACES = 300_000  # rendering takes ten times as long as with a tenth of it; winding is left alone
+ROUNDINGS = 4  # steps of float32: as far apart as corners may be that were one before a file rounded them
+LOOSE_WELD = 1e-4  # of the size: vertices farther apart are never one
+MANY_FACES = 300_000  # rendering takes ten times as long as with a tenth of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,11 @@ def without_unused_vertices(vertices: Vertices, faces: Faces) -> tuple[Vertices,
 
 
 def _weld(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-    """Vertices at one place as one: STL repeats each for every face."""
+    """Vertices at one place as one: STL repeats each for every face.
+
+    Far from the origin a file's float32 is coarser than that. So where edges stay open, vertices a few roundings apart
+    are joined too, if that closes some.
+    """
     vertices, faces = without_unused_vertices(vertices, faces)
     low = vertices.min(0)
     size = float((vertices.max(0) - low).max())
@@ -88,7 +95,28 @@ def _weld(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     new[1:] = (np.diff(cells[order], axis=0) != 0).any(1)
     number = np.empty(len(cells), np.int64)
     number[order] = np.cumsum(new) - 1
-    return vertices[order[new]], number[faces]
+    welded, corners = vertices[order[new]], number[faces]
+    open_edges = _count_open_edges(corners)
+    if open_edges:
+        rounding = ROUNDINGS * float(np.spacing(np.float32(np.abs(vertices).max())))
+        loose = _joined(welded, min(max(rounding, 2 * WELD * size), LOOSE_WELD * size))[corners]
+        if _count_open_edges(loose) < open_edges:
+            return welded, loose
+    return welded, corners
+
+
+def _joined(vertices: Vertices, distance: float) -> NDArray[np.int64]:
+    """For every vertex (V,) the first of those that are joined to it by steps of at most `distance`."""
+    near = cKDTree(vertices).query_pairs(distance, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(near), np.int8), near.T), shape=(len(vertices),) * 2)
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label, return_index=True)
+    return first[label]
+
+
+def _count_open_edges(faces: Faces) -> int:
+    whole = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+    return int((_edges(whole)[1] == 1).sum()) if len(whole) else 0
 
 
 def _without_repeated_faces(faces: Faces, warnings: list[str]) -> Faces:
@@ -111,26 +139,17 @@ def _without_repeated_faces(faces: Faces, warnings: list[str]) -> Faces:
 
 
 def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> Faces:
-    """Neighbouring faces wound alike, and counter-clockwise seen from outside."""
-    if not _wound_alike(faces):
-        if len(faces) > MANY_FACES:
-            warnings.append("The faces are not wound alike, and are too many to mend; recompute the normals.")
-            return faces
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        trimesh.repair.fix_winding(mesh)
-        faces = np.asarray(mesh.faces, np.int64)
-        alike = _wound_alike(faces)
-        warnings.append(f"The faces were not wound alike; {'mended' if alike else 'mended as far as possible'}.")
-    if signed_volume(vertices, faces) < 0:
+    """Neighboring faces wound alike, and counter-clockwise seen from outside."""
+    winding = wound_outwards(vertices, faces)
+    if not winding.were_alike:
+        mended = "mended" if winding.are_alike else "mended as far as possible"
+        warnings.append(f"The faces were not wound alike; {mended}.")
+    if winding.turned_rest or 0 < winding.turned_bodies == winding.bodies:
         warnings.append("The mesh was inside out; its faces have been turned round.")
-        return faces[:, ::-1].copy()
-    return faces
-
-
-def _wound_alike(faces: Faces) -> bool:
-    """No directed edge belongs to two faces."""
-    directed = np.sort(_pack(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])))
-    return bool((np.diff(directed) != 0).all())
+    elif winding.turned_bodies:
+        bodies = _count(winding.turned_bodies, "closed body was", "closed bodies were")
+        warnings.append(f"{bodies} inside out, of {winding.bodies}; the faces have been turned round.")
+    return winding.faces
 
 
 def _directed_edges(faces: Faces) -> tuple[Faces, NDArray[np.int64], NDArray[np.int64]]:
@@ -155,14 +174,6 @@ def _count_components(vertex_count: int, faces: Faces) -> int:
     links = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(links), np.int8), links.T), shape=(vertex_count, vertex_count))
     return int(connected_components(graph, directed=False)[0])
-
-
-def signed_volume(vertices: Vertices, faces: NDArray[np.integer[Any]]) -> float:
-    """Signed volume under the faces, seen from the middle of the vertices."""
-    if len(faces) == 0:
-        return 0.0
-    a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 
 
 def _note_flaws(mesh: MendedMesh) -> None:
