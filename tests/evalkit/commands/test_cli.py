@@ -211,3 +211,26 @@ def test_options_without_meaning_are_refused(folder, monkeypatch, arguments, wor
     done = evalkit(*arguments)
     assert done.exit_code == 2
     assert word in done.output
+
+
+def test_ap_without_files_says_what_it_takes():
+    done = evalkit("ap")
+    assert done.exit_code == 2
+    assert "preds.json" in done.output and "gt.json" in done.output and done.output.count("\n") == 1
+
+
+def test_what_to_type_next_is_no_part_of_the_result(folder):
+    done = evalkit("ap", folder / "preds.json", folder / "gt.json")
+    assert "Next: evalkit report" in done.stderr and "Next" not in done.stdout
+
+
+def test_a_camera_file_is_explained_with_what_it_sees_at_a_distance(tmp_path):
+    document = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "cx": 319.5, "cy": 239.5, "k1": -0.1}
+    (tmp_path / "camera.json").write_text(json.dumps(document))
+    done = evalkit("camera", tmp_path / "camera.json", "--at", "0.6")
+    assert done.exit_code == 0
+    assert "56.1 x 43.6 degrees" in done.stdout and "1 mm a pixel" in done.stdout and "k1 -0.1" in done.stdout
+    plain = json.loads(evalkit("camera", tmp_path / "camera.json", "--json").stdout)
+    assert plain == {key: document[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
+    (tmp_path / "camera.json").write_text("{}")
+    assert evalkit("camera", tmp_path / "camera.json").exit_code == 2

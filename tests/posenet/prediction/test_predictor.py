@@ -230,3 +230,21 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
         done = CliRunner().invoke(main, ["predict", str(tmp_path / "model.pt"), str(debug_shards), *map(str, words)])
         assert done.exit_code == 2, done.output
         assert str(file) in done.output and "Traceback" not in done.output
+
+
+def test_predictions_are_written_as_bops_results_with_the_object_numbered_by_the_user(
+    run_folder: Path, debug_shards: Path, tmp_path: Path
+) -> None:
+    from evalkit.adapters.bop import results
+    from posenet.commands.predict import predict
+
+    predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
+    predict(run_folder, debug_shards, tmp_path / "results.csv", device="cpu", max_images=2, object_id=7)
+    ours = {image.id: image for image in read_predictions(tmp_path / "preds.json").images if len(image.score)}
+    theirs = {image.id: image for image in results.read_predictions(tmp_path / "results.csv", object_id=7).images}
+    assert ours and set(ours) == set(theirs)
+    for name, image in ours.items():
+        np.testing.assert_allclose(theirs[name].cam_from_obj, image.cam_from_obj, atol=1e-9)
+    with pytest.raises(InputError, match="--object-id"):
+        predict(run_folder, debug_shards, tmp_path / "none.csv", device="cpu")
+    assert not (tmp_path / "none.csv").exists()

@@ -17,6 +17,7 @@ from evalkit.datasets.scene import Instances, View
 from evalkit.datasets.shard_folder import shard_name
 from evalkit.datasets.shard_format import ShardHeader
 from evalkit.datasets.shard_writer import ShardWriter
+from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from simgen.commands.inspect_commands import object_command, preview_command, verify_command
@@ -152,3 +153,33 @@ def test_wrong_input_gets_one_sentence_and_exit_code_2(
     assert "Traceback" not in done.output
     if words[0] != "verify":
         assert done.stderr.startswith("Error: ") and done.stderr.count("\n") == 1
+
+
+def test_a_built_in_object_becomes_a_mesh_file_that_is_read_as_the_same_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(meshes, "convex_parts", lambda vertices, faces: ([(vertices, faces.astype(np.int32))], []))
+    builtin = meshes.prepare_object("bracket").model
+    for suffix in (".ply", ".stl", ".obj"):
+        done = typed("object", "bracket", "-o", tmp_path / f"bracket{suffix}")
+        assert done.exit_code == 0, done.output
+        assert f"Next: simgen build --object {tmp_path / 'bracket'}{suffix}" in done.stderr
+        model = meshes.prepare_object(str(tmp_path / f"bracket{suffix}")).model
+        assert (model.name, model.symmetry.name) == (builtin.name, builtin.symmetry.name)
+        np.testing.assert_allclose([model.diameter, *model.centroid], [builtin.diameter, *builtin.centroid], atol=1e-6)
+
+
+def test_a_mesh_file_that_is_not_there_is_the_built_in_object_of_its_name_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(meshes, "convex_parts", lambda vertices, faces: ([(vertices, faces.astype(np.int32))], []))
+    monkeypatch.chdir(tmp_path)
+    taken = meshes.prepare_object("bracket.ply")
+    assert taken.model.diameter == meshes.prepare_object("bracket").model.diameter
+    assert "bracket.ply: no such file" in taken.warnings[0]
+    trimesh.creation.box((50, 80, 120)).export(tmp_path / "bracket.ply")
+    there = meshes.prepare_object("bracket.ply")
+    assert there.model.diameter != taken.model.diameter
+    for absent in ("part.ply", "bracket.txt"):
+        with pytest.raises(InputError, match=f"{absent}: no such file"):
+            meshes.prepare_object(absent)

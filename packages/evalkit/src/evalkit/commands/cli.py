@@ -11,8 +11,9 @@ import click
 from evalkit.atomic import sha256_of_file, write_json
 from evalkit.commands.camera_command import camera
 from evalkit.commands.formats import depth, gt, preds
-from evalkit.commands.group import Commands
+from evalkit.commands.group import Commands, suggest_next
 from evalkit.datasets import documents
+from evalkit.errors import InputError
 from evalkit.scoring.distances import CRITERIA
 from evalkit.scoring.evaluation import average_precision
 from evalkit.scoring.result import Result
@@ -53,16 +54,16 @@ def evaluation_options(command: Any) -> Any:
 
 
 @main.command()
-@click.argument("preds", type=FILE)
-@click.argument("gt", type=FILE)
+@click.argument("preds", required=False, type=FILE)
+@click.argument("gt", required=False, type=FILE)
 @evaluation_options
 @click.option("--json", "json_path", type=FILE, help="Write all figures, the rules and the curve here.")
 @click.option("--plot", "plot_path", type=FILE, help="Draw the precision-recall curve here (PNG, SVG or PDF).")
 @click.option("--confidence", type=float, help="Also give precision, recall and F1 of the scores from this one on.")
 @click.option("--bootstrap", type=int, help="Also give 95 % intervals from so many resamples of the scenes (1000).")
 def ap(
-    preds: Path,
-    gt: Path,
+    preds: Path | None,
+    gt: Path | None,
     json_path: Path | None,
     plot_path: Path | None,
     confidence: float | None,
@@ -70,6 +71,7 @@ def ap(
     **rules: Any,
 ) -> None:
     """Average precision of PREDS (preds.json) against GT (gt.json)."""
+    preds, gt = both(preds, gt)
     result = average_precision(documents.read_predictions(preds), documents.read_ground_truth(gt), **rules)
     lines = [summary(result)]
     more: dict[str, Any] = {}
@@ -92,6 +94,7 @@ def ap(
 
         save_precision_recall(result, plot_path)
     click.echo("\n".join(lines))
+    suggest_next("evalkit", "report", preds, gt, "-o", "report.html")
 
 
 @main.command("compare")
@@ -137,16 +140,17 @@ def bop24(preds: Path, gt: Path, unit: str, json_path: Path | None) -> None:
 
 
 @main.command()
-@click.argument("preds", type=FILE)
-@click.argument("gt", type=FILE)
+@click.argument("preds", required=False, type=FILE)
+@click.argument("gt", required=False, type=FILE)
 @click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw some of them.")
 @click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write; its figures go beside it.")
 @click.option("--images", "count", type=click.IntRange(1, 36), default=8, show_default=True, help="How many to draw.")
 @evaluation_options
-def report(preds: Path, gt: Path, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
+def report(preds: Path | None, gt: Path | None, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
     """Everything about an evaluation on one page that needs no network, and each figure as PNG and CSV."""
     from evalkit.reports.report import figures_folder, save_report
 
+    preds, gt = both(preds, gt)
     predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
     inputs = described_inputs(predictions=preds, ground_truth=gt)
     result = save_report(output, predictions, truth, shards, count, inputs, **rules)
@@ -179,6 +183,20 @@ def picture(
     predictions, truth = documents.read_predictions(preds), documents.read_ground_truth(gt)
     result = save_picture(output, predictions, truth, shards, image_ids, count, **rules)
     click.echo(f"{output}: AP {result.ap:.4f}")
+
+
+def both(preds: Path | None, gt: Path | None) -> tuple[Path, Path]:
+    """The two documents of an evaluation.
+
+    Raises:
+        InputError: one is not given.
+    """
+    if preds is None or gt is None:
+        raise InputError(
+            "Missing PREDS and GT: give preds.json, which 'posenet predict' or 'evalkit preds' writes, and gt.json, "
+            "which 'evalkit gt' writes."
+        )
+    return preds, gt
 
 
 def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from evalkit import adapters
+from evalkit.commands.group import suggest_next
 from evalkit.datasets import documents
 from evalkit.errors import InputError
 from evalkit.meshes.units import CHOICES
@@ -66,6 +67,11 @@ def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
         f"{output}: {len(truth.images)} images, {instances} instances of {model.title} "
         f"({1e3 * model.diameter:.4g} mm across, symmetry {model.symmetry.name}), {truth.frame} frame"
     )
+    preds = output.with_name("preds.json")
+    if preds.is_file():
+        suggest_next("evalkit", "ap", preds, output)
+    else:
+        suggest_next("posenet", "predict", "MODEL", source, "--refine", "-o", preds)
 
 
 @click.command()

@@ -13,6 +13,7 @@ import click
 from evalkit.commands.group import Commands
 from evalkit.errors import InputError
 from posenet.commands.log import show_log
+from posenet.commands.next_steps import after_fit, missing_model
 from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, TrainConfig, preset, with_options
 
 
@@ -107,6 +108,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
         )
     )
     click.echo(_summary(run.path))
+    after_fit(run.path, list(shards))
 
 
 _TRAIN_OPTIONS = (
@@ -130,7 +132,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 
 
 @main.command()
-@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("model", required=False, type=click.Path(path_type=Path))
 @click.argument("source", required=False, type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -165,7 +167,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 def predict(
-    model: Path,
+    model: Path | None,
     source: Path | None,
     no_registration: bool,
     no_offset: bool,
@@ -187,6 +189,8 @@ def predict(
     from posenet.prediction.images import Reading
     from posenet.prediction.sources import SOURCES
 
+    if model is None:
+        raise missing_model()
     if source is None:
         raise InputError(f"Missing SOURCE, the images to predict on: give {SOURCES}.")
     show_log()

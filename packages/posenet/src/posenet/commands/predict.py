@@ -12,10 +12,10 @@ from typing import Any
 from tqdm import tqdm
 
 from evalkit.adapters.bop import results as bop_results
-from evalkit.commands.group import suggest_next
 from evalkit.datasets.documents import write_predictions
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
@@ -69,7 +69,7 @@ def predict(
         camera = source.cameras[numbers[0]]
         depth = predictor.clean(source.read(numbers[0]), camera)
         write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
-    _say_next(path, out, source, model)
+    after_predict(path, out, source.truth, drawn=picture is not None)
     return _summary(out, found)
 
 
@@ -109,14 +109,6 @@ def _require_bop_ids(out: Path, source: DepthSource, name: str, object_id: int |
             f"{out}: BOP knows images by scene and number, and '{strange}' has none; give a BOP dataset, or end the "
             "name in .json."
         )
-
-
-def _say_next(path: Path, out: Path, source: DepthSource, model: Path) -> None:
-    if source.truth is None:
-        suggest_next("posenet", "predict", model, path, "--picture", "poses.png")
-    elif not _is_bop_csv(out):
-        kind = [] if source.truth == "shards" else ["--from", source.truth]
-        suggest_next("evalkit", "gt", *kind, path, "-o", out.with_name("gt.json"))
 
 
 def _require_writable(folder: Path) -> None:

@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
+from evalkit.commands.group import suggest_next
+from evalkit.errors import InputError
 from simgen.commands.options import (
     ObjectChoice,
     camera_options,
     configured,
     dask_option,
+    like_option,
     object_options,
     pile_options,
     shard_options,
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 
 @click.command("build")
 @object_options
+@like_option
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
 @pile_options
 @camera_options
@@ -39,7 +44,8 @@ if TYPE_CHECKING:
 @some_shards_option
 @dask_option
 def build_command(
-    chosen: ObjectChoice,
+    chosen: ObjectChoice | None,
+    like: Path | None,
     output: Path,
     preset: str,
     workers: int,
@@ -58,9 +64,16 @@ def build_command(
     A Dask cluster is given by its scheduler: --dask tcp://HOST:8786. Its workers need the folder under the same path,
     the same software, and one thread each: dask worker tcp://HOST:8786 --nthreads 1 --nworkers 16
     """
-    config = configured(PRESETS[preset](), **options)
-    _require_renderer(config)
-    _write_shards(_planned(config, chosen), output, workers, shards, dask)
+    if like is not None:
+        job = _planned_like(like, chosen, options)
+    else:
+        assert chosen is not None  # the options see to it
+        config = configured(PRESETS[preset](), **options)
+        _require_renderer(config)
+        job = _planned(config, chosen)
+    _write_shards(job, output, workers, shards, dask)
+    if shards is None:
+        _say_next(output, job, is_test=like is not None)
 
 
 @click.command("simulate")
@@ -155,6 +168,38 @@ def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
     click.echo(prepared.summary)
     _tell(job)
     return job
+
+
+def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, Any]) -> Job:
+    """The job of other scenes than those of the shards `like`, which give the object and all other values.
+
+    Raises:
+        InputError: an object or a preset is given too, or the scenes would be the same.
+    """
+    from simgen.building.repair import job_of_dataset
+    from simgen.scenes.plan import plan
+
+    context = click.get_current_context()
+    if chosen is not None or context.get_parameter_source("preset") is not ParameterSource.DEFAULT:
+        raise InputError("--like: gives object and values; leave --object and --preset out.")
+    known, _ = job_of_dataset(like)
+    config = configured(known.config, **options)
+    if config.seed == known.config.seed:
+        raise InputError(
+            f"--like {like}: with seed {config.seed} its scenes would be drawn again; give another --seed."
+        )
+    _require_renderer(config)
+    job = plan(config, known.model, known.convex_parts)
+    _tell(job)
+    return job
+
+
+def _say_next(output: Path, job: Job, is_test: bool) -> None:
+    run = next(iter(sorted(Path("runs").glob(f"{job.model.name or 'object'}-*"))), None) if is_test else None
+    if run is None:
+        suggest_next("posenet", "fit", output)
+    else:
+        suggest_next("posenet", "predict", run, output, "--refine", "-o", "preds.json")
 
 
 def _require_renderer(config: BuildConfig) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from evalkit.commands.group import EXIT_BAD_INPUT
+from evalkit.commands.group import EXIT_BAD_INPUT, suggest_next
 from evalkit.errors import InputError
 from simgen.commands.options import workers_option
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from simgen.objects.prepare import PreparedObject
 
 MOST_PROBLEMS = 50
+MESH_SUFFIXES = (".ply", ".stl", ".obj")
 
 
 @click.command("object")
@@ -26,7 +27,12 @@ MOST_PROBLEMS = 50
     "--symmetry", default="auto", show_default=True, help="auto, a group's name, or name@axis: revolution@z, cyclic:4 …"
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Draw surface, axes and convex parts: a .png.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Draw surface, axes and convex parts (.png), or write the mesh, in millimetres (.ply, .stl, .obj).",
+)
 def object_command(source: str, units: str, scale: float, symmetry: str, as_json: bool, output: Path | None) -> None:
     """Print what is understood of a mesh: units, size, soundness, symmetry, convex parts."""
     from simgen.objects.prepare import prepare_object
@@ -37,12 +43,29 @@ def object_command(source: str, units: str, scale: float, symmetry: str, as_json
         click.echo(json.dumps(document, indent=1))
     else:
         click.echo(_as_text(document))
-    if output is not None:
+    if output is not None and output.suffix.lower() in MESH_SUFFIXES:
+        _write_mesh(prepared, output)
+        click.echo(f"{output}: {prepared.model.name}'s mesh, in millimetres", err=True)
+        source = str(output)
+    elif output is not None:
         from evalkit.drawing.plots import save
         from simgen.previews.object_picture import object_sheet
 
         save(object_sheet(prepared), output)
         click.echo(f"{output} written", err=True)
+    if not as_json:
+        suggest_next("simgen", "build", "--object", source)
+
+
+def _write_mesh(prepared: PreparedObject, output: Path) -> None:
+    import trimesh
+
+    from evalkit.atomic import atomic_path
+
+    mesh = trimesh.Trimesh(1e3 * prepared.mesh.vertices, prepared.mesh.faces, process=False)
+    content = mesh.export(file_type=output.suffix.lower().lstrip("."))
+    with atomic_path(output) as temporary:
+        temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
 @click.command("preview")

@@ -45,11 +45,16 @@ class ObjectChoice:
 
 
 def object_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options that choose an object, which reach the command as one `chosen`."""
+    """The options that choose an object, which reach the command as one `chosen`; None where --like chooses it."""
 
     @wraps(command)
-    def choosing(*, source: str, units: str, scale: float, symmetry: str, name: str | None, **rest: Any) -> Any:
-        return command(chosen=ObjectChoice(source, units, scale, symmetry, name), **rest)
+    def choosing(*, source: str | None, units: str, scale: float, symmetry: str, name: str | None, **rest: Any) -> Any:
+        if source is None and rest.get("like") is None:
+            raise InputError(
+                "Missing --object: give a mesh file (PLY, STL, OBJ …), or bunny, gear, cup … to try it out."
+            )
+        chosen = None if source is None else ObjectChoice(source, units, scale, symmetry, name)
+        return command(chosen=chosen, **rest)
 
     return _OBJECT_OPTIONS(choosing)
 
@@ -58,7 +63,6 @@ _OBJECT_OPTIONS = _group(
     click.option(
         "--object",
         "source",
-        required=True,
         metavar="FILE|NAME",
         help="Mesh file, or bunny, cup, candlestick, pepper, gear, brick, connector or bracket.",
     ),
@@ -115,6 +119,12 @@ workers_option = click.option(
     type=int,
     callback=lambda _context, _option, value: _workers(value),
     help="Processes; all CPU cores if not given. Does not change the result.",
+)
+like_option = click.option(
+    "--like",
+    type=click.Path(path_type=Path),
+    metavar="SHARDS",
+    help="Object and every value of these shards, in place of --object and --preset: a test set, with another --seed.",
 )
 some_shards_option = click.option(
     "--shards", metavar="FIRST-LAST", help="Build only these shards of the folder, counted from 0."

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
-from evalkit.meshes.read import FileMesh, read_file_mesh
+from evalkit.meshes.read import FORMATS, FileMesh, read_file_mesh
 from evalkit.meshes.units import METERS, WORDS, check_size, decide_units
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry_detection import DetectedSymmetry, resolve_symmetry
@@ -81,6 +81,7 @@ def prepare_object(
         raise InputError(f"--scale {scale:g}: must be a positive number.")
     if name is not None and not name.strip():
         raise InputError("--name: is empty; name the object, or leave the option out.")
+    source, substituted = _existing(source)
     own_name, found_mesh, notes = _read(source)
     mesh = mend(found_mesh.vertices, found_mesh.faces)
     _require_body(mesh, source)
@@ -89,8 +90,20 @@ def prepare_object(
     parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
     model = ObjectModel.from_mesh(name or own_name, mesh.vertices, mesh.faces, found.symmetry, **notes)
-    warnings += [*mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
+    warnings += [*substituted, *mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
     return PreparedObject(model, parts, warnings, reason, mesh, found)
+
+
+def _existing(source: str) -> tuple[str, list[str]]:
+    """The source; where it is a mesh file that is not there, the built-in object of its name, and a sentence on it."""
+    path = Path(source)
+    if source in BUILTIN_OBJECTS or path.exists() or path.stem not in BUILTIN_OBJECTS:
+        return source, []
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        return source, []
+    return path.stem, [
+        f"{source}: no such file, so the built-in object '{path.stem}' is taken; check the path if not meant."
+    ]
 
 
 def _read(source: str) -> tuple[str, FileMesh, dict[str, Any]]:
