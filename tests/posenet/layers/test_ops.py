@@ -127,6 +127,15 @@ def test_nms_resolves_a_chain_in_which_every_box_overlaps_only_its_neighbours() 
     assert kept.tolist() == list(range(0, 40, 2))
 
 
+@pytest.mark.parametrize("portion", [1, 7, 64])
+def test_nms_in_portions_is_nms_at_once(monkeypatch: pytest.MonkeyPatch, portion: int) -> None:
+    boxes = random_boxes(150, 3)
+    scores = torch.rand(150, generator=torch.Generator().manual_seed(3))
+    monkeypatch.setattr(ops, "_torchvision_nms", None)
+    monkeypatch.setattr(ops, "BOXES_AT_ONCE", portion)
+    assert ops.nms(boxes, scores, 0.3).tolist() == reference_nms(boxes, scores, 0.3)
+
+
 def test_nms_of_nothing_is_nothing() -> None:
     assert ops.nms(torch.zeros(0, 4), torch.zeros(0), 0.5).shape == (0,)
 

@@ -65,12 +65,15 @@ def test_overlap_of_boxes_counts_their_voxels() -> None:
         grid[x0:x1, y0:y1, z0:z1] = True
     both = (voxels[:, None] & voxels[None]).flatten(2).sum(-1)
     either = (voxels[:, None] | voxels[None]).flatten(2).sum(-1)
-    torch.testing.assert_close(registration.box_iou_3d(low.float(), high.float()), both / either)
+    torch.testing.assert_close(
+        registration.box_iou_3d((low.float(), high.float()), (low.float(), high.float())), both / either
+    )
 
 
 def test_neighbours_overlap_or_are_siblings_or_oneself_and_nobody_else_is() -> None:
     hypotheses = random_hypotheses(60)
-    overlap = registration.box_iou_3d(*registration.posed_boxes(hypotheses.rotation, hypotheses.center, MODEL_BOX))
+    boxes = registration.posed_boxes(hypotheses.rotation, hypotheses.center, MODEL_BOX)
+    overlap = registration.box_iou_3d(boxes, boxes)
     siblings = hypotheses.detection[:, None] == hypotheses.detection[None]
     expected = (overlap > 0) | siblings
     pairs = relation_features(hypotheses, MODEL_BOX).pairs
@@ -148,7 +151,8 @@ def test_of_too_many_neighbours_siblings_and_then_the_closest_stay() -> None:
     hypotheses = random_hypotheses(100, spread=0.02)
     most = 20
     relations = relation_features(hypotheses, MODEL_BOX, most)
-    overlap = registration.box_iou_3d(*registration.posed_boxes(hypotheses.rotation, hypotheses.center, MODEL_BOX))
+    boxes = registration.posed_boxes(hypotheses.rotation, hypotheses.center, MODEL_BOX)
+    overlap = registration.box_iou_3d(boxes, boxes)
     for i in range(100):
         heard = set(relations.pairs[relations.pairs[:, 0] == i, 1].tolist())
         siblings = set((hypotheses.detection == hypotheses.detection[i]).nonzero()[:, 0].tolist())
@@ -159,6 +163,23 @@ def test_of_too_many_neighbours_siblings_and_then_the_closest_stay() -> None:
         farthest_heard = overlap[i, sorted(heard - siblings)].min()
         unheard = strangers & ~torch.tensor([j in heard for j in range(100)])
         assert overlap[i, unheard].max() <= farthest_heard + 2e-4
+
+
+@pytest.mark.parametrize("most", [20, 500])
+def test_in_portions_the_neighbours_are_those_of_all_at_once(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    hypotheses = random_hypotheses(100, spread=0.02)
+    whole = relation_features(hypotheses, MODEL_BOX, most)
+    monkeypatch.setattr(registration, "LISTENERS_AT_ONCE", 7)
+    parts = relation_features(hypotheses, MODEL_BOX, most)
+    assert torch.equal(pair_set(whole), pair_set(parts))
+    assert (whole.pairs[:, 0].diff() >= 0).all() and (parts.pairs[:, 0].diff() >= 0).all()
+
+
+def pair_set(relations: registration.Relations) -> torch.Tensor:
+    """Pairs and their features (P, 15), in one order."""
+    rows = torch.cat([relations.pairs.float(), relations.features], 1)
+    order = (relations.pairs[:, 0] * relations.count + relations.pairs[:, 1]).argsort()
+    return rows[order]
 
 
 def test_the_maximum_over_neighbours_equals_the_loop() -> None:

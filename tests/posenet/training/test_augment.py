@@ -14,7 +14,7 @@ from posenet.training import augment
 from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.batches import Batches, degradation_of
 from posenet.training.dataset import Frames
-from posenet.training.processes import ALONE
+from posenet.training.rank import ALONE
 
 DIAMETER, FOCAL = 0.1, 150.0
 

@@ -13,7 +13,7 @@ from posenet.config import preset
 from posenet.training.batches import Batches
 from posenet.training.dataset import Frames
 from posenet.training.prefetch import Prefetch
-from posenet.training.processes import ALONE
+from posenet.training.rank import ALONE
 
 
 def test_each_number_is_made_once_and_in_any_thread_the_same() -> None:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +22,12 @@ from posenet.layers.mean import Mean
 from posenet.models.model_file import read_torch_file
 from posenet.training.dataset import Frames, step_seeds
 from posenet.training.fit_options import FitOptions
-from posenet.training.processes import Rank, processes
+from posenet.training.processes import processes
+from posenet.training.rank import Rank
 from posenet.training.train import fit
 from posenet.training.trainer import Trainer
+
+LONGEST_WAIT = 60.0  # seconds; the machine may be busy
 
 
 @pytest.fixture(autouse=True)
@@ -145,6 +152,53 @@ def test_a_mistake_that_another_process_meets_is_reported_as_if_the_first_had_me
         fabric = rank.fabric(torch.device("cpu"), None)
         rank.from_leader(0.0, fabric.device)
         rank.from_leader(0.0, fabric.device)
+
+
+def fails_with_a_bug(rank: Rank) -> None:
+    raise ZeroDivisionError("of an image without pixels")
+
+
+def is_killed(rank: Rank) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    ("work", "says"),
+    [
+        (fails_with_a_bug, r"process 2 of 2 failed \(ZeroDivisionError: of an image without pixels\)"),
+        (is_killed, "process 2 of 2 was killed by signal 9"),
+    ],
+)
+def test_whatever_ends_another_process_ends_the_first_within_seconds_even_between_steps(
+    work: Callable[[Rank], None], says: str
+) -> None:
+    with pytest.raises(InputError, match=says), processes(2, work):
+        started = time.monotonic()
+        while time.monotonic() - started < LONGEST_WAIT:  # the leader validates, say: nothing tells it of the other
+            time.sleep(0.05)
+    assert time.monotonic() - started < LONGEST_WAIT
+
+
+STUCK = """
+import os, signal, threading
+from posenet.training.processes import processes
+
+def work(rank):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if __name__ == "__main__":
+    with processes(2, work):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a collective that waits in a library takes no interruption
+        threading.Event().wait()
+"""
+
+
+def test_a_first_process_that_cannot_be_interrupted_ends_with_the_sentence_and_a_code(tmp_path: Path) -> None:
+    script = tmp_path / "stuck.py"
+    script.write_text(STUCK)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 2
+    assert "process 2 of 2 was killed by signal 9" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_shares_are_dealt_so_that_the_first_images_come_first_everywhere() -> None:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posenet.threads import wait_briefly
+
 if TYPE_CHECKING:
     from posenet.prediction.predictor import Predictor
+
+wait_briefly()  # before anything loads PyTorch, which reads it once
 
 
 def load(model: Path | str, device: str = "auto", refine: bool = False) -> Predictor:

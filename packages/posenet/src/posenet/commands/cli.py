@@ -158,6 +158,8 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--targets", type=click.Path(path_type=Path), help="Of a BOP dataset: test_targets_bop19.json.")
 @click.option("--sensor", help="Of a BOP dataset with several sensors, this one, such as cam1.")
 @click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object, for -o results.csv.")
+@click.option("--mask", type=click.Path(path_type=Path), help="Look only where this image is not black: the bin.")
+@click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
 @click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
@@ -175,6 +177,8 @@ def predict(
     no_return: float | None,
     depth_along: str,
     rotate: str | None,
+    mask: Path | None,
+    roi: str | None,
     **options: Any,
 ) -> None:
     """Predict poses with MODEL (a model file or a run's folder) on SOURCE.
@@ -186,6 +190,7 @@ def predict(
     """
     from posenet.commands import predict as commands
     from posenet.network.predict_options import PredictOptions
+    from posenet.prediction.area_of_interest import AreaOfInterest
     from posenet.prediction.images import Reading
     from posenet.prediction.sources import SOURCES
 
@@ -196,7 +201,7 @@ def predict(
     show_log()
     options["reading"] = Reading(no_return=no_return, along_ray=depth_along == "ray", turned=int(rotate or 0))
     switched = PredictOptions(not no_registration, not no_offset, hypotheses)
-    click.echo(commands.predict(model, source, options=switched, **options))
+    click.echo(commands.predict(model, source, options=switched, area=AreaOfInterest(mask, roi), **options))
 
 
 @main.command()

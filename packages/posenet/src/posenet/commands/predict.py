@@ -17,6 +17,8 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
+from posenet.prediction.any_camera import without_nan
+from posenet.prediction.area_of_interest import AreaOfInterest
 from posenet.prediction.picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
 from posenet.prediction.sources import DepthSource, open_source
@@ -39,6 +41,7 @@ def predict(
     device: str = "auto",
     refine: bool = False,
     options: PredictOptions | None = None,
+    area: AreaOfInterest | None = None,
     object_id: int | None = None,
     **source_options: Any,
 ) -> str:
@@ -48,18 +51,21 @@ def predict(
     :func:`posenet.prediction.sources.open_source` takes beside camera and unit goes in `source_options`.
 
     Raises:
-        InputError: the model, the images or the device cannot be used.
+        InputError: the model, the images, the area or the device cannot be used.
         OSError: a folder cannot be written; said before the work, not after it.
     """
     source = open_source(path, camera_file, depth_unit, **source_options)
     for remark in source.remarks:
         log.info(remark)
+    area = area or AreaOfInterest()
+    for camera in dict.fromkeys(source.cameras):
+        area.mask(camera)  # refused now, not after an hour
     predictor = Predictor.load(model, device, refine, options)
     _require_bop_ids(out, source, predictor.model.name, object_id)
     for file in [out] + ([picture] if picture is not None else []):
         _require_writable(file.parent)
     numbers = source.spread(max_images)
-    found = list(tqdm(_over(predictor, source, numbers), total=len(numbers), desc="predict", unit=" images"))
+    found = list(tqdm(_over(predictor, source, numbers, area), total=len(numbers), desc="predict", unit=" images"))
     document = to_document(predictor.model, iter(found))
     if _is_bop_csv(out):
         bop_results.write_predictions(out, document, object_id=object_id)
@@ -67,17 +73,19 @@ def predict(
         write_predictions(out, document)
     if picture is not None and found:
         camera = source.cameras[numbers[0]]
-        depth = predictor.clean(source.read(numbers[0]), camera)
+        depth = without_nan(source.read(numbers[0]), camera, f"image '{source.names[numbers[0]]}'")
         write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
     after_predict(path, out, source.truth, drawn=picture is not None)
     return _summary(out, found)
 
 
-def _over(predictor: Predictor, source: DepthSource, numbers: list[int]) -> Iterator[tuple[str, PredictedPoses]]:
+def _over(
+    predictor: Predictor, source: DepthSource, numbers: list[int], area: AreaOfInterest
+) -> Iterator[tuple[str, PredictedPoses]]:
     for camera, some in _batches(source, numbers):
         names = [source.names[number] for number in some]
         depths = [source.read(number) for number in some]
-        yield from zip(names, predictor.predict_batch(depths, camera, names), strict=True)
+        yield from zip(names, predictor.predict_batch(depths, camera, names, area.mask(camera)), strict=True)
 
 
 def _batches(source: DepthSource, numbers: list[int]) -> Iterator[tuple[Camera, list[int]]]:

@@ -19,6 +19,8 @@ try:
 except Exception:  # beside a torch of another build it fails with OSError, RuntimeError or AttributeError as well
     _torchvision_nms = _torchvision_roi_align = None
 
+BOXES_AT_ONCE = 1024  # of a suppression without torchvision, whose memory goes by their square
+
 # Faster R-CNN's guard: one step of refinement enlarges a box at most 62.5 times, so exp() cannot overflow.
 MAX_LOG_SCALE = math.log(1000.0 / 16.0)
 
@@ -101,8 +103,13 @@ def nms(
     if _torchvision_nms is not None:
         return _torchvision_nms(boxes.float(), scores.float(), iou_threshold)
     order = scores.argsort(descending=True, stable=True)
-    ranked = boxes[order].float()
-    return order[_kept_greedily(box_iou(ranked, ranked) > iou_threshold)]
+    kept = order[:0]
+    for portion in order.split(BOXES_AT_ONCE):
+        free = ~(box_iou(boxes[portion].float(), boxes[kept].float()) > iou_threshold).any(1)
+        portion = portion[free]
+        ranked = boxes[portion].float()
+        kept = torch.cat([kept, portion[_kept_greedily(box_iou(ranked, ranked) > iou_threshold)]])
+    return kept
 
 
 def _kept_greedily(overlaps: Tensor) -> Tensor:

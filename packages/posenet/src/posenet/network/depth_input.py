@@ -9,6 +9,7 @@ from torch.nn import functional as F
 from evalkit.geometry.camera import Camera, nearest_pixels
 from posenet.config import NetworkConfig
 
+LEAST_PLAUSIBLE = 0.02  # of an image's depths; if fewer are where the object was in training, it is elsewhere
 CROP_CHANNELS = 4  # relative depth, two normal components, has a return
 
 
@@ -40,9 +41,17 @@ def _slope(depth: Tensor, valid: Tensor, dim: int) -> Tensor:
     return total / (F.pad(known, pad) + F.pad(known, after)).clamp(min=1.0)
 
 
-def image_median(depth: Tensor) -> Tensor:
-    """Median of the pixels with a return, of each image (B, H, W) -> (B,); 1 for an image of holes."""
-    median = _median_of_returns(depth[:, ::4, ::4].flatten(1))
+def scene_depth(depth: Tensor, depth_range: tuple[float, float], diameter: float) -> Tensor:
+    """The depth (B,) about which each image (B, H, W) shows objects; 1 for an image of holes.
+
+    It is the median of the depths where the object may be by the training set's range of centroids, so that a floor
+    far below the bin does not shift it; where hardly any lies there, the median of all.
+    """
+    seen = depth[:, ::4, ::4].flatten(1)
+    near, far = depth_range[0] - diameter, depth_range[1] + diameter
+    plausible = torch.where((seen > near) & (seen < far), seen, 0.0)
+    enough = (plausible > 0).sum(1) > LEAST_PLAUSIBLE * (seen > 0).sum(1)
+    median = _median_of_returns(torch.where(enough[:, None], plausible, seen))
     return torch.where(median > 0, median, torch.ones_like(median))
 
 
@@ -52,14 +61,15 @@ def network_input(
     """The trunk's three channels (B, 3, H, W).
 
     depth-holes: depth over the training set's range, holes, and slant (the normal's z). Depth is absolute, as the
-    paper's depth bins need it. depth-normals: depth about the image's median in diameters, and the normal's x and y.
+    paper's depth bins need it. depth-normals: depth about the scene's in diameters, and the normal's x and y.
     """
     valid = (depth > 0).to(depth.dtype)
     if config.input == "depth-holes":
         middle, half = sum(depth_range) / 2, max(depth_range[1] - depth_range[0], diameter) / 2
         scaled = ((depth - middle) / half).clamp(-3.0, 3.0) * valid
         return torch.stack([scaled, 1.0 - valid, normals[:, 2]], 1)
-    scaled = ((depth - image_median(depth)[:, None, None]) / diameter).clamp(-4.0, 4.0) * valid
+    reference = scene_depth(depth, depth_range, diameter)[:, None, None]
+    scaled = ((depth - reference) / diameter).clamp(-4.0, 4.0) * valid
     return torch.stack([scaled, normals[:, 0], normals[:, 1]], 1)
 
 

@@ -1,4 +1,4 @@
-"""Joint registration: each hypothesis is scored again in view of its neighbours, so that each instance is told once.
+"""Joint registration: hypotheses are scored again in view of their neighbours, so that each instance is found once.
 
 After GossipNet (Hosang, Benenson & Schiele, CVPR 2017, "Learning non-maximum suppression") with the relations of
 Sock et al. (BMVC 2018, section 3.3): a hypothesis hears from every neighbour, keeps the strongest of what it hears, and
@@ -24,6 +24,7 @@ RELATION_NAMES = (
 SCORE_UNIT = 5.0  # log-odds run over some -15 ... 10; networks like inputs of order one
 LOUDEST_BLOCKS = 4  # deeper networks start no louder than this many blocks do
 MAX_NEIGHBOURS = 128  # a bound on memory in a heap of thousands; an ordinary bin stays well below
+LISTENERS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,14 @@ def relation_features(
     box: their overlap is exact and cheap where that of oriented boxes is neither.
     """
     scores = hypotheses.scores.detach().float()
-    overlap = box_iou_3d(*posed_boxes(hypotheses.rotation, hypotheses.center, model_box))
-    pairs = _neighbours(overlap, hypotheses.detection, scores, max_neighbours)
+    boxes = posed_boxes(hypotheses.rotation, hypotheses.center, model_box)
+    pairs, overlap = _neighbouring_pairs(boxes, hypotheses.detection, scores, max_neighbours)
     own, other = pairs.unbind(1)
     angles = unit_angles(hypotheses.angles)
     diagonal = (model_box[1] - model_box[0]).norm().to(scores.dtype)
     shift = (hypotheses.center[other] - hypotheses.center[own]).float() / diagonal
     both_scores = torch.stack([scores[own], scores[other]], 1) / SCORE_UNIT
-    features = [both_scores, overlap[own, other, None], angles[own], angles[other], shift, shift.norm(dim=1)[:, None]]
+    features = [both_scores, overlap[:, None], angles[own], angles[other], shift, shift.norm(dim=1)[:, None]]
     return Relations(len(scores), pairs, torch.cat(features, 1))
 
 
@@ -90,14 +91,15 @@ def posed_boxes(rotation: Tensor, center: Tensor, model_box: Tensor) -> tuple[Te
     return middle - half, middle + half
 
 
-def box_iou_3d(low: Tensor, high: Tensor) -> Tensor:
-    """Intersection over union (n, n) of axis-parallel boxes given by corners (n, 3) each."""
-    shared = torch.ones(len(low), len(low), device=low.device)
+def box_iou_3d(a: tuple[Tensor, Tensor], b: tuple[Tensor, Tensor]) -> Tensor:
+    """Intersection over union (n, m) of axis-parallel boxes, given by lowest and highest corners (n, 3) and (m, 3)."""
+    (low_a, high_a), (low_b, high_b) = a, b
+    shared = torch.ones(len(low_a), len(low_b), device=low_a.device)
     for axis in range(3):
-        a, b = low[:, axis], high[:, axis]
-        shared *= (torch.minimum(b[:, None], b[None]) - torch.maximum(a[:, None], a[None])).clamp_(min=0)
-    volume = (high - low).prod(1)
-    return shared / (volume[:, None] + volume[None] - shared).clamp(min=torch.finfo(shared.dtype).tiny)
+        top = torch.minimum(high_a[:, None, axis], high_b[None, :, axis])
+        shared *= (top - torch.maximum(low_a[:, None, axis], low_b[None, :, axis])).clamp_(min=0)
+    volume_a, volume_b = (high_a - low_a).prod(1), (high_b - low_b).prod(1)
+    return shared / (volume_a[:, None] + volume_b[None] - shared).clamp(min=torch.finfo(shared.dtype).tiny)
 
 
 def unit_angles(angles: Tensor) -> Tensor:
@@ -107,17 +109,33 @@ def unit_angles(angles: Tensor) -> Tensor:
     return torch.stack([a % 1.0, b.clamp(0, 1), c % 1.0], -1)
 
 
-def _neighbours(overlap: Tensor, detection: Tensor, scores: Tensor, most: int) -> Tensor:
-    """Pairs (P, 2) sorted by listener, at most `most` of each: oneself, then siblings, then by overlap (n, n)."""
-    closeness = overlap + (detection[:, None] == detection)
-    closeness.fill_diagonal_(3.0)
-    if len(closeness) <= most:
-        return closeness.nonzero()
+def _neighbouring_pairs(
+    boxes: tuple[Tensor, Tensor], detection: Tensor, scores: Tensor, most: int
+) -> tuple[Tensor, Tensor]:
+    """Pairs (P, 2) sorted by listener, and the overlap (P,) of each; listeners in portions, for memory's sake."""
+    pairs, overlap = [], []
+    for listeners in torch.arange(len(scores), device=scores.device).split(LISTENERS_AT_ONCE):
+        iou = box_iou_3d((boxes[0][listeners], boxes[1][listeners]), boxes)
+        row, neighbour = _neighbours(iou, listeners, detection, scores, most)
+        pairs.append(torch.stack([listeners[row], neighbour], 1))
+        overlap.append(iou[row, neighbour])
+    return torch.cat(pairs), torch.cat(overlap)
+
+
+def _neighbours(
+    overlap: Tensor, listeners: Tensor, detection: Tensor, scores: Tensor, most: int
+) -> tuple[Tensor, Tensor]:
+    """Rows of `overlap` (k, n) and the neighbours of each, at most `most`: oneself, then siblings, then by overlap."""
+    closeness = overlap + (detection[listeners, None] == detection)
+    closeness[torch.arange(len(listeners), device=overlap.device), listeners] = 3.0
+    if closeness.shape[1] <= most:
+        row, neighbour = closeness.nonzero(as_tuple=True)
+        return row, neighbour
     # Of equally close ones, such as copies of one pose, the most confident: the answer must not depend on the order.
     preference = torch.where(closeness > 0, closeness + 1e-4 * scores.sigmoid(), closeness)
     best, neighbour = preference.topk(most, dim=1)
-    listener, rank = (best > 0).nonzero(as_tuple=True)
-    return torch.stack([listener, neighbour[listener, rank]], 1)
+    row, rank = (best > 0).nonzero(as_tuple=True)
+    return row, neighbour[row, rank]
 
 
 class JointRegistration(nn.Module):

@@ -6,10 +6,12 @@ import logging
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from posenet.network.depth_input import scene_depth
 from posenet.network.pose_network import PoseNetwork
 from posenet.prediction.no_return import without_code
 
@@ -44,6 +46,11 @@ def without_nan(depth: NDArray[Any], camera: Camera, title: str) -> NDArray[np.f
     return np.maximum(clean, 0.0)
 
 
+def distance(depth: NDArray[np.float32], network: PoseNetwork) -> float:
+    """How far away (metres) an image shows what may be the object."""
+    return float(scene_depth(torch.from_numpy(depth)[None], network.depth_range, network.model.diameter))
+
+
 def check_distance(depth: NDArray[np.float32], camera: Camera, network: PoseNetwork, title: str) -> None:
     """Refuse what cannot show the object: another unit, another camera, depths that absolute bins do not reach.
 
@@ -53,11 +60,11 @@ def check_distance(depth: NDArray[np.float32], camera: Camera, network: PoseNetw
     seen = depth[depth > 0]
     if len(seen) == 0:
         return
-    median = float(np.median(seen))
+    median = distance(depth, network)
     size, side = camera.fx * network.model.diameter / median, max(camera.width, camera.height)
     if not LEAST_PIXELS <= size <= LARGEST_SHARE * side:
         raise InputError(
-            f"{title}: at its median depth of {median:.4g} m the object would be {size:.3g} pixels across in "
+            f"{title}: at its depth of {median:.4g} m the object would be {size:.3g} pixels across in "
             f"{camera.width} x {camera.height}; check the unit of the depths (--depth-unit 0.001 for millimetres) and "
             "the camera's focal length."
         )
@@ -91,11 +98,10 @@ def trained_grid(depth: NDArray[np.float32], camera: Camera, network: PoseNetwor
 
 def _zoom(depth: NDArray[np.float32], network: PoseNetwork) -> float:
     """How much larger the object must become to have its trained size; 1 within or about the trained distances."""
-    seen = depth[depth > 0]
-    if len(seen) == 0:
+    if not depth.any():
         return 1.0
     near, far = network.depth_range
-    median = float(np.median(seen))
+    median = distance(depth, network)
     if near / FARTHER <= median <= far * FARTHER:
         return 1.0
     # Rounded to a few steps, so that images of one sequence share a grid.

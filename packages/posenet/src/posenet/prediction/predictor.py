@@ -22,10 +22,12 @@ from posenet.network.pose_network import PoseNetwork
 from posenet.network.predict_options import PredictOptions
 from posenet.network.stages import ImagePoses
 from posenet.prediction.any_camera import check_distance, trained_grid, without_nan
+from posenet.prediction.area_of_interest import Mask, cut_out
 from posenet.refinement.refiner import Refiner
 
 # Refinement tells two boxes of one instance from two instances, so it may have both, and more of them.
 REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
+PIXELS_AT_ONCE = 1 << 21  # of the images that go through the network together
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,34 +82,35 @@ class Predictor:
     def model(self) -> ObjectModel:
         return self.network.model
 
-    def predict(self, depth: NDArray[Any], camera: Camera) -> PredictedPoses:
+    def predict(self, depth: NDArray[Any], camera: Camera, mask: Mask | None = None) -> PredictedPoses:
         """Poses in one depth image (height, width) of any number type: axial z in metres, 0 or NaN = no return.
 
         Any resolution and any pinhole camera will do: the image is resampled so that the object has its trained size.
+        Of a `mask` (height, width) only what is True is looked at: the bin, without what stands around it.
 
         Raises:
-            InputError: the image does not fit the camera, or its depths cannot be metres.
+            InputError: the image does not fit the camera, its depths cannot be metres, or the mask fits no image.
         """
-        return self.predict_batch([depth], camera)[0]
+        return self.predict_batch([depth], camera, mask=mask)[0]
 
     def predict_batch(
-        self, depths: Sequence[NDArray[Any]], camera: Camera, names: Sequence[str] = ()
+        self, depths: Sequence[NDArray[Any]], camera: Camera, names: Sequence[str] = (), mask: Mask | None = None
     ) -> list[PredictedPoses]:
         """As :meth:`predict`, for several images of one camera at once; `names` call them in messages."""
         started = time.perf_counter()
         titles = [f"image '{name}'" for name in names] or ["the depth image"] * len(depths)
-        clean = [self.clean(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
-        found: list[PredictedPoses] = [_NOTHING] * len(clean)
-        grids = [trained_grid(depth, camera, self.network) for depth in clean]
-        for grid in dict.fromkeys(grids):
-            rows = [row for row, other in enumerate(grids) if other == grid]
-            for row, poses in zip(rows, self._on_grid([clean[row] for row in rows], camera, grid), strict=True):
-                found[row] = poses
+        clean = [without_nan(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
+        corner = (0, 0)
+        if mask is not None:
+            clean, camera, corner = cut_out(clean, camera, mask)
+        for depth, title in zip(clean, titles, strict=True):
+            check_distance(depth, camera, self.network, title)
+        found = self._on_grids(clean, camera)
         if self.refiner is not None:
             refiner = self.refiner
             found = [_refined(refiner, *pair, camera) for pair in zip(clean, found, strict=True)]
         seconds = (time.perf_counter() - started) / max(len(depths), 1)
-        return [replace(image, time_s=seconds) for image in found]
+        return [replace(image, boxes=image.boxes + np.tile(corner, 2), time_s=seconds) for image in found]
 
     def clean(self, depth: NDArray[Any], camera: Camera, title: str = "the depth image") -> NDArray[np.float32]:
         """The image with 0 wherever nothing returned.
@@ -118,6 +121,19 @@ class Predictor:
         clean = without_nan(depth, camera, title)
         check_distance(clean, camera, self.network, title)
         return clean
+
+    def _on_grids(self, depths: list[NDArray[np.float32]], camera: Camera) -> list[PredictedPoses]:
+        """Each image on the pixel grid that suits it; together those of one grid, as many as memory allows."""
+        found: list[PredictedPoses] = [_NOTHING] * len(depths)
+        grids = [trained_grid(depth, camera, self.network) for depth in depths]
+        for grid in dict.fromkeys(grids):
+            rows = [row for row, other in enumerate(grids) if other == grid]
+            together = max(1, PIXELS_AT_ONCE // (grid.width * grid.height))
+            for start in range(0, len(rows), together):
+                some = rows[start : start + together]
+                for row, poses in zip(some, self._on_grid([depths[row] for row in some], camera, grid), strict=True):
+                    found[row] = poses
+        return found
 
     def _on_grid(self, depths: list[NDArray[np.float32]], camera: Camera, grid: Camera) -> list[PredictedPoses]:
         images = torch.stack([resample(torch.from_numpy(depth), grid) for depth in depths]).to(self.device)

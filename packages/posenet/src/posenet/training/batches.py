@@ -16,7 +16,7 @@ from posenet.network.targets import Batch
 from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.dataset import Frames, epoch_order, step_seeds
 from posenet.training.prefetch import Prefetch
-from posenet.training.processes import Rank
+from posenet.training.rank import Rank
 
 MOST_AHEAD = 12  # batches
 

@@ -17,7 +17,7 @@ from posenet.network.targets import Batch
 from posenet.optimizers.build import build_optimizers
 from posenet.optimizers.ema import WeightAverage
 from posenet.optimizers.schedule import learning_rate_factor
-from posenet.training.processes import Rank
+from posenet.training.rank import Rank
 
 
 class StepLosses(NamedTuple):

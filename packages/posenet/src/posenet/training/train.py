@@ -26,7 +26,8 @@ from posenet.runs.run_folder import RunFolder
 from posenet.training.batches import degradation_of
 from posenet.training.dataset import Frames, Split
 from posenet.training.fit_options import FitOptions
-from posenet.training.processes import Rank, processes
+from posenet.training.processes import processes
+from posenet.training.rank import Rank
 from posenet.training.trainer import Trainer
 from posenet.training.working_scale import choose_scale
 

@@ -27,7 +27,7 @@ from posenet.training.forecast import Forecast
 from posenet.training.interruption import Interruption
 from posenet.training.learner import Learner, NotFiniteError, StepLosses
 from posenet.training.plateau import learns_nothing, no_longer_rises
-from posenet.training.processes import ALONE, Rank
+from posenet.training.rank import ALONE, Rank
 from posenet.training.record import training_record
 from posenet.training.slowdown import Slowdown
 from posenet.training.validation import validate
