@@ -14,10 +14,12 @@ from click.testing import CliRunner, Result
 
 from evalkit.datasets.shard_folder import DATASET_FILE, shard_name
 from simgen.building.build import build
+from simgen.building.repair import repair
 from simgen.commands.cli import cli
 from simgen.objects.prepare import prepare_object
 from simgen.presets import debug
 from simgen.scenes.plan import plan
+from simgen.scenes.software import physics_software, software_here
 
 
 def verify(*arguments: object) -> Result:
@@ -127,3 +129,15 @@ def test_any_flipped_bit_is_a_problem_told_and_no_crash(copy: Path) -> None:
         result = verify(path)
         assert result.exit_code == 2 and f"{shard_name(1)}" in result.stderr, (place, result.output)
         assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+def test_software_that_differs_either_way_is_named(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    physics = physics_software()
+    here = {name: version for name, version in software_here().items() if name not in physics} | {"another": "9.9"}
+    monkeypatch.setattr("simgen.building.repair.software_here", lambda: here)
+    _, warnings = repair(copy, workers=1)
+    ((name, version),) = physics.items()
+    assert [warning.split(":")[0] for warning in warnings] == [
+        "another (none) made the dataset, 9.9 is here",
+        f"{name} {version} made the dataset, (none) is here",
+    ]

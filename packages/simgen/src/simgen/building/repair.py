@@ -25,12 +25,12 @@ def repair(folder: Path, workers: int) -> tuple[BuildReport, list[str]]:
         InputError: the folder alone does not tell how, or another build is at work in it.
         OSError: the folder cannot be written.
     """
-    job, header = job_of_dataset(folder)
+    (job, header), here = job_of_dataset(folder), software_here()
     warnings = [
-        f"{name} {header.software.get(name, 'none')} made the dataset, {version} is here: "
+        f"{name} {header.software.get(name, '(none)')} made the dataset, {here.get(name, '(none)')} is here: "
         "repaired shards may differ from what they were."
-        for name, version in software_here().items()
-        if header.software.get(name) != version
+        for name in sorted(here.keys() | header.software.keys())
+        if header.software.get(name) != here.get(name)
     ]
     return build(job, folder, workers), warnings
 

@@ -85,8 +85,9 @@ def _require_suitable(states: dict[str, dict[str, Any]], address: str, folder: P
                 "give a folder with -o on a file system that all workers share, under the same path."
             )
         for name, version in ours.items():
-            if state["software"].get(name) != version:
+            theirs = state["software"].get(name, "(none)")
+            if theirs != version:
                 raise InputError(
-                    f"--dask {address}: worker {worker} has {name} {state['software'].get(name)}, {version} is here; "
+                    f"--dask {address}: worker {worker} has {name} {theirs}, {version} is here; "
                     "install the same versions, for they decide the shards' bytes."
                 )
