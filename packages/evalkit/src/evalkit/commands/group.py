@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import shlex
 import sys
@@ -21,6 +22,7 @@ class Commands(click.Group):
     """A click group whose commands report :class:`InputError` and file-system trouble in one sentence."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
+        show_warnings()
         try:
             return super().main(*args, **kwargs)
         except InputError as error:
@@ -34,6 +36,19 @@ class Commands(click.Group):
         except KeyboardInterrupt:
             click.echo("\nInterrupted; what was finished is kept, run the same command again to go on.", err=True)
             ctx.exit(EXIT_INTERRUPTED)
+
+
+class _Warnings(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(f"Warning: {record.getMessage()}", err=True)
+
+
+def show_warnings() -> None:
+    """Print what the libraries that a command calls log as warnings, each as a sentence on stderr."""
+    for library in ("evalkit", "simgen"):
+        log = logging.getLogger(library)
+        if not any(isinstance(handler, _Warnings) for handler in log.handlers):
+            log.addHandler(_Warnings(logging.WARNING))
 
 
 def suggest_next(*words: str | Path) -> None:
