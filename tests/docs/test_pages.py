@@ -5,10 +5,17 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from evalkit.meshes import read, units
+from evalkit.objects import symmetry
+from evalkit.scoring.distances import CRITERIA
+from evalkit.scoring.rules import PROTOCOLS
+from simgen.sensors.config import SENSORS, SensorConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("evalkit", "simgen", "posenet")
@@ -77,3 +84,23 @@ def test_the_reference_names_modules_that_are_there(package: str) -> None:
     modules = [name for name in named if (source / (name.replace(".", "/") + ".py")).is_file()]
     assert len(modules) > 10
     assert set(named) - set(modules) <= {"posenet.load"}
+
+
+def test_the_page_on_parts_names_every_mesh_format_unit_and_symmetry() -> None:
+    page = (ROOT / "docs" / "own-part.md").read_text(encoding="utf-8")
+    symmetries = re.findall(r"[a-z]+(?:-[a-z]+|:N)?", symmetry.SYNTAX.replace(" or ", ", "))
+    for word in {*read.FORMATS, *units.CHOICES, *symmetries}:
+        assert f"`{word}`" in page, word
+
+
+def test_the_page_on_scoring_names_every_criterion_and_protocol() -> None:
+    page = (ROOT / "docs" / "scoring.md").read_text(encoding="utf-8")
+    for word in {*CRITERIA, *PROTOCOLS}:
+        assert f"`{word}`" in page, word
+
+
+def test_the_page_on_cameras_names_every_parameter_of_the_sensors() -> None:
+    page = (ROOT / "docs" / "own-camera.md").read_text(encoding="utf-8")
+    names = {field.name for field in fields(SensorConfig)} - {"model"}
+    for word in names | set(SENSORS):
+        assert f"`{word}`" in page, word
