@@ -15,7 +15,7 @@ from evalkit.meshes import read, units
 from evalkit.objects import symmetry
 from evalkit.scoring.distances import CRITERIA
 from evalkit.scoring.rules import PROTOCOLS
-from simgen.sensors.config import SENSORS, SensorConfig
+from simgen.sensors.sensor_config import SENSORS, SensorConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("evalkit", "simgen", "posenet")
