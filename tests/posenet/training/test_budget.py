@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 from pathlib import Path
@@ -61,6 +62,19 @@ def test_a_finished_run_given_more_goes_on_from_where_it_would_stand(debug_shard
     record, whole = load_model(more.path).record, fit(options(debug_shards, tmp_path / "whole", epochs=5))
     assert before < record["step"] == load_model(whole.path).record["step"]
     assert json.loads((run.path / "run.json").read_text())["epochs"] == 5
+
+
+def test_ap_that_falls_when_a_run_is_given_more_does_not_make_it_hurry(
+    debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = iter([0.9, 0.91, 0.92, 0.93, 0.5, 0.6, 0.7, 0.94, 0.95, 0.96])
+    monkeypatch.setattr(trainer, "validate", lambda *_: Validation(next(measured), 1.0))
+    monkeypatch.setattr("posenet.training.dataset.LEAST_SCENES", 2)
+    config = with_options(preset("debug"), "train", validations=4, validation_share=0.3)
+    asked = options(debug_shards, tmp_path / "run", config, epochs=8, validate=True)
+    steps = load_model(fit(asked).path).record["step"]
+    more = fit(dataclasses.replace(asked, epochs=12))
+    assert json.loads((more.path / "metrics.jsonl").read_text().splitlines()[-1])["step"] == steps * 12 // 8
 
 
 def test_the_budget_of_a_run_holds_where_none_is_given(debug_shards: Path, tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ class Trainer:
         self.batches = Batches(frames, split.train, self.config, options.seed, rank)
         self.step, self.images, self.best_ap, self.finished = 0, 0, -1.0, False
         self.validations: list[dict[str, float]] = []
-        self.validations_due, self.warned = 0, False
+        self.validations_due, self.judged_from, self.warned = 0, 0, False
         self.history, self.slowdown, self.forecast = History(), Slowdown(), Forecast()
         self.budget = self._budget()
 
@@ -115,6 +115,7 @@ class Trainer:
                 "history": self.history.rows,
                 "finished": self.finished,
                 "validations_due": self.validations_due,
+                "judged_from": self.judged_from,
                 "warned": self.warned,
                 "hurried_from": self.budget.hurried_from,
                 "budget": self.budget.length,
@@ -129,7 +130,7 @@ class Trainer:
         self.validations, self.finished = state["validations"], state["finished"]
         self.history.rows = state.get("history", [])
         self.validations_due = state.get("validations_due", len(self.validations))
-        self.warned = state.get("warned", False)
+        self.judged_from, self.warned = state.get("judged_from", 0), state.get("warned", False)
         self.budget.spent_before = state["seconds"]
         if state.get("budget", self.budget.length) == self.budget.length:
             self.budget.hurried_from = state.get("hurried_from")
@@ -146,6 +147,7 @@ class Trainer:
             )
         self.finished = False
         self.validations_due = self._due()
+        self.judged_from = len(self.validations)  # AP falls at first, for the learning rate has risen again
 
     def _due(self) -> int:
         """How many validations the run should have made."""
@@ -255,7 +257,7 @@ class Trainer:
         """Make haste when held-out AP no longer rises; stop, once, when nothing is learnt."""
         if self.config.schedule == "constant":
             return
-        if self.budget.hurried_from is None and no_longer_rises(self.validations):
+        if self.budget.hurried_from is None and no_longer_rises(self.validations[self.judged_from :]):
             self.budget.hurry(self.step)
             log.info("Held-out AP no longer rises: the rest of the schedule goes %g times faster.", HASTE)
         problem = learns_nothing(self.validations[-1])
