@@ -18,7 +18,7 @@ from commands import run
 
 TRAIN_SEED, TEST_SEED = 0, 1000
 VISIBILITIES = (0.5, 0.3)
-DEEP_DISTANCE = "0.54-0.9"  # of that at which the bin fits the image: heaps cut by its frame
+DEEP_DISTANCE = "0.54-0.9x"  # of that at which the bin fits the image: heaps cut by its frame
 COLUMNS = [
     "object",
     "sensor",

@@ -274,7 +274,7 @@ def test_presets_say_what_they_draw_and_build(preset: str, tmp_path: Path) -> No
 
 def test_what_is_random_can_be_given_as_options(tmp_path: Path) -> None:
     result = run(
-        "--object", "brick", "--preset", "debug", "--scenes", "1", "--tilt", "10-20", "--distance", "1.2-1.3",
+        "--object", "brick", "--preset", "debug", "--scenes", "1", "--tilt", "10-20", "--distance", "1.2-1.3x",
         "--look-at-jitter", "0.1", "--bin-jitter", "0.2", "--walls", "0", "--workers", "1", "-o", str(tmp_path / "out"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output

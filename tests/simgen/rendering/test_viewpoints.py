@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from simgen.config_sections import BinSize, ViewpointConfig
 from simgen.presets import PRESETS, default_camera
-from simgen.rendering.viewpoints import distance_range, draw_viewpoints, farthest_ground, max_tilt
+from simgen.rendering.viewpoints import at_distances, distance_range, draw_viewpoints, farthest_ground, max_tilt
 
 CONFIG = ViewpointConfig()
 CAMERAS = {
@@ -107,3 +108,14 @@ def test_no_ground_in_sight_is_farther_than_its_bound(preset: str) -> None:
     slope = np.einsum("vk,ck->vc", world_from_cam[:, 2, :3], corners)
     depth = np.where(slope < 0, -world_from_cam[:, 2, 3, None] / slope, 0)
     assert depth.max() <= bound
+
+
+def test_distances_in_metres_are_those_of_the_cameras_from_the_floor() -> None:
+    camera, size, diameter = Camera(320, 240, 300.0, 300.0, 159.5, 119.5), BinSize(0.3, 0.2, 0.1), 0.08
+    placed = at_distances(ViewpointConfig(max_tilt_degrees=20.0), camera, size, diameter, (0.45, 0.7))
+    np.testing.assert_allclose(distance_range(placed, camera, size, diameter), (0.45, 0.7), rtol=1e-12)
+    cam_from_world = draw_viewpoints(placed, camera, size, diameter, seed=3, scene=0, views=200)
+    floor = np.linalg.norm(cam_from_world[:, :3, 3], axis=1)  # looking at the middle of the floor
+    assert 0.45 <= floor.min() < 0.47 and 0.68 < floor.max() <= 0.7
+    with pytest.raises(InputError, match=r"--distance 0\.1-0\.7.*among the parts"):
+        at_distances(placed, camera, size, diameter, (0.1, 0.7))

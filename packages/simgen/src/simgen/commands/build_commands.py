@@ -17,6 +17,7 @@ from simgen.commands.options import (
     camera_options,
     configured,
     dask_option,
+    distances_in_metres,
     like_option,
     object_options,
     pile_options,
@@ -70,7 +71,7 @@ def build_command(
         assert chosen is not None  # the options see to it
         config = configured(PRESETS[preset](), **options)
         _require_renderer(config)
-        job = _planned(config, chosen)
+        job = _planned(config, chosen, options)
     _write_shards(job, output, workers, shards, dask)
     if shards is None:
         _say_next(output, job, is_test=like is not None)
@@ -97,7 +98,7 @@ def simulate_command(
     """
     from simgen.building.scenes_file import simulate
 
-    job = _planned(configured(PRESETS[preset](), **options), chosen)
+    job = _planned(configured(PRESETS[preset](), **options), chosen, options)
     start = time.monotonic()
     report = simulate(job, output, workers)
     _warn_of_broken_pools(report.broken_pools)
@@ -136,7 +137,8 @@ def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
     from simgen.scenes.plan import plan
 
     job = job_of_scenes(path)
-    job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded)
+    distances = distances_in_metres(options["distance"])
+    job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded, distances)
     _tell(job)
     return job
 
@@ -144,6 +146,8 @@ def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
 def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     from simgen.scenes.layouts import job_of_layouts, nearest_and_farthest, with_options
 
+    if distances_in_metres(options["distance"]) is not None:
+        raise InputError(f"{folder}: says where its camera stands; leave out --distance.")
     job = job_of_layouts(folder)
     config = configured(job.config, **options)
     job = with_options(job, config)
@@ -156,7 +160,7 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     return job
 
 
-def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
+def _planned(config: BuildConfig, chosen: ObjectChoice, options: dict[str, Any]) -> Job:
     """The job of an object and a config, told to the user."""
     from simgen.objects.prepare import prepare_object
     from simgen.scenes.plan import plan
@@ -164,7 +168,7 @@ def _planned(config: BuildConfig, chosen: ObjectChoice) -> Job:
     prepared = prepare_object(**asdict(chosen))
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
-    job = plan(config, prepared.model, prepared.convex_parts)
+    job = plan(config, prepared.model, prepared.convex_parts, distances=distances_in_metres(options["distance"]))
     click.echo(prepared.summary)
     _tell(job)
     return job
@@ -189,7 +193,7 @@ def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, An
             f"--like {like}: with seed {config.seed} its scenes would be drawn again; give another --seed."
         )
     _require_renderer(config)
-    job = plan(config, known.model, known.convex_parts)
+    job = plan(config, known.model, known.convex_parts, distances=distances_in_metres(options["distance"]))
     _tell(job)
     return job
 

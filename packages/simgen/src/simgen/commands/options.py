@@ -95,7 +95,11 @@ camera_options = _group(
         help="Camera file of ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
     ),
     click.option("--tilt", metavar="MIN-MAX", help="Of the optical axis from the vertical, in degrees."),
-    click.option("--distance", metavar="MIN-MAX", help="Multiples of that from which the bin just fits the image."),
+    click.option(
+        "--distance",
+        metavar="MIN-MAX",
+        help="Metres from the bin's floor; as MIN-MAXx, multiples of that from which the bin fits.",
+    ),
     click.option(
         "--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle."
     ),
@@ -140,6 +144,20 @@ def _workers(value: int | None) -> int:
     return len(os.sched_getaffinity(0)) if value is None else value
 
 
+def distances_in_metres(distance: str | None) -> tuple[float, float] | None:
+    """What --distance says in metres; None where it is not given, or says multiples (1-1.5x), which the config holds.
+
+    Raises:
+        InputError: it is no range of positive numbers.
+    """
+    if distance is None or distance.endswith("x"):
+        return None
+    nearest, farthest = parse_range("--distance", distance)
+    if nearest <= 0:
+        raise InputError(f"--distance {distance}: must be positive metres from the bin's floor, as in 0.4-0.6.")
+    return nearest, farthest
+
+
 def configured(
     preset: BuildConfig,
     instances: str | None = None,
@@ -177,8 +195,8 @@ def configured(
     views: dict[str, Any] = {} if look_at_jitter is None else {"look_at_jitter": look_at_jitter}
     if tilt is not None:
         views["min_tilt_degrees"], views["max_tilt_degrees"] = parse_range("--tilt", tilt)
-    if distance is not None:
-        views["nearest"], views["farthest"] = parse_range("--distance", distance)
+    if distance is not None and distance.endswith("x"):
+        views["nearest"], views["farthest"] = parse_range("--distance", distance.removesuffix("x"))
     given = {"bin_jitter": bin_jitter, "wall_probability": walls}
     pile: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     changes["viewpoints"], changes["pile"] = replace(preset.viewpoints, **views), replace(preset.pile, **pile)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from simgen.config_sections import BinSize, ViewpointConfig
@@ -42,11 +44,38 @@ def max_tilt(config: ViewpointConfig, camera: Camera, size: BinSize) -> float:
 
 def distance_range(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> tuple[float, float]:
     """Nearest and farthest distance in metres from the bin's floor; never among the instances."""
-    half_view = min(camera.width / (2 * camera.fx), camera.height / (2 * camera.fy))
-    fits = max(size.width, size.depth) / 2 / half_view + size.height
-    tilt, off_axis = max_tilt(config, camera, size), math.hypot(*_middle_ray(camera)[:2])
-    clear = (size.height + HEADROOM * diameter) / (math.cos(tilt) - off_axis * math.sin(tilt))
+    fits, clear = _fitting_distance(camera, size), _clear_distance(config, camera, size, diameter)
     return max(config.nearest * fits, clear), max(config.farthest * fits, clear)
+
+
+def at_distances(
+    config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float, distances: tuple[float, float]
+) -> ViewpointConfig:
+    """The config whose cameras stand `distances` (nearest, farthest) metres from the bin's floor.
+
+    Raises:
+        InputError: that near they would stand among the instances.
+    """
+    clear = _clear_distance(config, camera, size, diameter)
+    if distances[0] < clear:
+        raise InputError(
+            f"--distance {distances[0]:g}-{distances[1]:g}: that near, cameras would stand among the parts; from "
+            f"{clear:.3g} m on they clear the bin. Give meters from its floor, or a lower --bin."
+        )
+    fits = _fitting_distance(camera, size)
+    return replace(config, nearest=distances[0] / fits, farthest=distances[1] / fits)
+
+
+def _fitting_distance(camera: Camera, size: BinSize) -> float:
+    """Metres from the floor at which the bin's opening just fits the image's narrower side."""
+    half_view = min(camera.width / (2 * camera.fx), camera.height / (2 * camera.fy))
+    return max(size.width, size.depth) / 2 / half_view + size.height
+
+
+def _clear_distance(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> float:
+    """Metres from the floor from which on a camera is above the instances, however tilted."""
+    tilt, off_axis = max_tilt(config, camera, size), math.hypot(*_middle_ray(camera)[:2])
+    return (size.height + HEADROOM * diameter) / (math.cos(tilt) - off_axis * math.sin(tilt))
 
 
 def farthest_ground(config: ViewpointConfig, camera: Camera, size: BinSize, farthest: float) -> float:

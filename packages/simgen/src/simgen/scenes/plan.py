@@ -13,7 +13,7 @@ from evalkit.objects.model import ObjectModel
 from simgen.config import BuildConfig
 from simgen.physics.bin_shape import ground_half_side
 from simgen.physics.bin_size import fitting_bin, require_room
-from simgen.rendering.viewpoints import distance_range, farthest_ground
+from simgen.rendering.viewpoints import at_distances, distance_range, farthest_ground
 from simgen.scenes.job import Job, Part
 from simgen.scenes.recorded import RecordedScenes
 
@@ -25,17 +25,28 @@ MIN_PIXELS = 4
 
 
 def plan(
-    config: BuildConfig, model: ObjectModel, convex_parts: list[Part], recorded: RecordedScenes | None = None
+    config: BuildConfig,
+    model: ObjectModel,
+    convex_parts: list[Part],
+    recorded: RecordedScenes | None = None,
+    distances: tuple[float, float] | None = None,
 ) -> Job:
-    """Settle what depends on the object's size: the bin, where it is automatic, and the depth unit.
+    """Settle what depends on the object's size: the bin, where it is automatic, the distances and the depth unit.
+
+    Args:
+        distances: nearest and farthest of the cameras from the bin's floor in metres, in place of the config's.
 
     Raises:
-        InputError: the object is larger than the bin, or the camera cannot see it.
+        InputError: the object is larger than the bin, or the camera cannot see it or would stand among the parts.
     """
     size = config.bin or fitting_bin(model.mesh[0], model.diameter, config.instances_max, config.pile)
     require_room(config.pile, size, model, config.instances_max)
     edge = math.sqrt(2) * (1 + config.pile.bin_jitter) * ground_half_side(size)
     config = replace(config, bin=size)
+    if distances is not None:
+        config = replace(
+            config, viewpoints=at_distances(config.viewpoints, config.camera, size, model.diameter, distances)
+        )
     nearest, farthest = distance_range(config.viewpoints, config.camera, size, model.diameter)
     ground = farthest_ground(config.viewpoints, config.camera, size, farthest)
     _require_sight(config.camera, model.diameter, farthest)
