@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from evalkit.errors import InputError
 from simgen.objects import convex
 from simgen.objects.builtin import candlestick
-from simgen.objects.convex import COACD_OPTIONS, cache_folder, convex_parts
+from simgen.objects.convex import cache_folder, convex_parts
 
 Mesh = tuple[np.ndarray, np.ndarray]
 Parts = list[tuple[np.ndarray, np.ndarray]]
@@ -67,7 +68,6 @@ def test_parts_are_convex_and_follow_the_mesh(parts_of_coacd: Parts) -> None:
     for points, triangles in parts_of_coacd:
         part = trimesh.Trimesh(points, triangles)
         assert part.is_watertight and part.is_convex
-        assert len(points) <= COACD_OPTIONS["max_ch_vertex"]
     solid = trimesh.Trimesh(*angle_iron())
     assert volume(parts_of_coacd) == pytest.approx(solid.volume, rel=0.15)
     assert solid.convex_hull.volume > 1.5 * volume(parts_of_coacd)
@@ -126,13 +126,23 @@ def crash(*_: object, **__: object) -> subprocess.CompletedProcess[bytes]:
     return subprocess.CompletedProcess([], -11)
 
 
-def hang(*_: object, timeout: float, **__: object) -> None:
-    raise subprocess.TimeoutExpired("coacd", timeout)
+@pytest.mark.parametrize("signal", [9, 15, 24])
+def test_where_coacd_is_stopped_nothing_stands_in_for_its_parts(signal: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: subprocess.CompletedProcess([], -signal))
+    with pytest.raises(InputError, match=rf"signal {signal}.*decimate"):
+        convex_parts(*angle_iron())
+    assert not cache_folder().exists()
 
 
-@pytest.mark.parametrize("failure", [crash, hang])
-def test_where_coacd_fails_the_hull_stands_in_and_is_not_kept(failure: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subprocess, "run", failure)
+def test_no_time_on_the_clock_ends_coacd(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, object]] = []
+    monkeypatch.setattr(subprocess, "run", lambda *_, **options: asked.append(options) or crash())
+    convex_parts(*angle_iron())
+    assert "timeout" not in asked[0]
+
+
+def test_where_coacd_crashes_the_hull_stands_in_and_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "run", crash)
     vertices, faces = angle_iron()
     parts, warnings = convex_parts(vertices, faces)
     assert len(parts) == 1
@@ -155,3 +165,16 @@ def test_simplifying_keeps_thin_parts() -> None:
     assert simple.is_watertight
     assert simple.area == pytest.approx(fine.area, rel=0.01)
     assert np.abs(simple.bounds - fine.bounds).max() < 0.005 * np.ptp(fine.bounds, axis=0).max()
+
+
+def test_the_parts_of_a_ball_hold_its_surface_within_half_a_percent() -> None:
+    ball = trimesh.creation.icosphere(4, 0.05)
+    parts, warnings = convex_parts(np.array(ball.vertices), np.array(ball.faces, np.int64))
+    assert warnings == []
+    hulls = [trimesh.Trimesh(*part).convex_hull for part in parts]
+    outside = [
+        (ball.vertices @ hull.face_normals.T - (hull.triangles_center * hull.face_normals).sum(1)).max(1)
+        for hull in hulls
+    ]
+    assert np.min(outside, axis=0).max() < 0.005 * 0.1
+    assert volume(parts) == pytest.approx(ball.volume, rel=0.02)

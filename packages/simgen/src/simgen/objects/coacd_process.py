@@ -7,14 +7,18 @@ writes vertices_0, faces_0, vertices_1, … of the convex parts. It imports noth
 from __future__ import annotations
 
 import json
+import resource
 import sys
 from typing import Any
 
 import coacd
 import numpy as np
 
+CPU_LIMIT_S = 7200  # only against running on for ever: the caller then refuses the mesh, whatever the machine
+
 
 def main(mesh_file: str, parts_file: str, options: str) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S + 10))
     with np.load(mesh_file, allow_pickle=False) as archive:
         mesh = coacd.Mesh(archive["vertices"], archive["faces"])
     coacd.set_log_level("off")
