@@ -40,9 +40,9 @@ def docstring(path: Path) -> str:
 
 
 def functions(path: Path) -> list[str]:
-    """The functions that a module defines."""
+    """The public functions that a module defines."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return [node.name for node in tree.body if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")]
 
 
 if __name__ == "__main__":
