@@ -39,7 +39,7 @@ from evalkit.scoring.breakdown import by_visibility
 from evalkit.scoring.distances import Sym
 from evalkit.scoring.evaluation import Subject
 from evalkit.scoring.rules import Settings
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.detectors.base import DetectionLimits, Detections, Detector
 from posenet.layers.ops import box_iou
 from posenet.network.pose_heads import PoseOutputs

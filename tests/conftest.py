@@ -37,6 +37,17 @@ def debug_shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def run_folder(debug_shards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network trained for some steps: enough for it to detect something."""
+    from posenet.config import preset
+    from posenet.training.fit_options import FitOptions
+    from posenet.training.train import fit
+
+    out = tmp_path_factory.mktemp("run")
+    return fit(FitOptions([debug_shards], out, preset("debug"), epochs=40, device="cpu", validate=False)).path
+
+
+@pytest.fixture(scope="session")
 def reference() -> Path:
     """The folder of reference data; tests that need it are skipped where it is absent."""
     beside = Path(__file__).parents[2] / "shared" / "reference"

@@ -13,7 +13,7 @@ import torch
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.prediction.predictor import PredictedPoses, Predictor
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -12,7 +12,7 @@ from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry import Symmetry
 from posenet.coding import euler
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.coding.pose_codec import PoseCodec
 from posenet.coding.sym_distance import SymDistance
 from posenet.config import NetworkConfig

@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
-from posenet.figures import bins, draw_figures, relations
+from posenet.figures import angle_bins, draw_figures, relations
 from posenet.figures.looked_at import LookedAt, look_at
 from posenet.models.model_file import load_model
 from posenet.network.registration import RELATION_NAMES
@@ -41,7 +41,7 @@ def test_matrices_of_relations_hold_each_pairs_features(looked: LookedAt) -> Non
 
 
 def test_a_turn_of_a_turns_the_view_in_the_image(looked: LookedAt) -> None:
-    surface = bins._Surface(looked.network)
+    surface = angle_bins._Surface(looked.network)
     upright, turned = (surface.seen(a, 0.9, 0.4) < 1 for a in (0.0, np.pi / 2))
     overlap = (np.rot90(upright, -1) & turned).sum() / (np.rot90(upright, -1) | turned).sum()
     assert overlap > 0.9

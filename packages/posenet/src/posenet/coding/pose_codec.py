@@ -4,8 +4,8 @@ Every question that the paper leaves open about labels is decided here:
 
 * The network works in a *canonical* object frame: origin at the object's centroid, symmetry axis along z. Poses in and
   out of this package stay in the mesh's own frame; the model file carries `obj_from_canonical`.
-* The three angles are those of :mod:`posenet.euler`: 30 bins of the in-plane angle a, 13 of the tilt b, 30 of the spin
-  c about the object's z. Under a revolution c is not estimated; under a sphere no angle is.
+* The three angles are those of :mod:`posenet.coding.euler`: 30 bins of the in-plane angle a, 13 of the tilt b, 30 of
+  the spin c about the object's z. Under a revolution c is not estimated; under a sphere no angle is.
 * Finite symmetries: of all equivalent poses the one with the smallest tilt is the label, and c counts modulo
   2 pi / (number of symmetries about z). So the 30 bins of c cover one period, and b ends at pi / 2 where the symmetry
   turns z upside down: equivalent poses have one label, and bins are as fine as the symmetry allows.
@@ -26,7 +26,7 @@ from torch import Tensor
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from posenet.coding import euler
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.config import NetworkConfig
 
 

@@ -236,13 +236,13 @@ def export(model: Path, out: Path) -> None:
     """Write MODEL as ONNX, for what runs without Python: trunk with detector, and the heads of the regions.
 
     Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to centre, depth
-    and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.export's docstring.
+    and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.models.onnx_export.
     Needs pip install 'binpose-posenet[export]'.
     """
-    from posenet.models import export as onnx
+    from posenet.models import onnx_export
     from posenet.models.model_file import load_model
 
-    for path in onnx.export(load_model(model).network, out):
+    for path in onnx_export.export(load_model(model).network, out):
         click.echo(path)
 
 

@@ -19,7 +19,7 @@ from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.any_camera import without_nan
 from posenet.prediction.area_of_interest import AreaOfInterest
-from posenet.prediction.picture import draw_predictions, write_picture
+from posenet.prediction.pose_picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
 from posenet.prediction.sources import DepthSource, open_source
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.drawing.plots import save
 from evalkit.errors import InputError
-from posenet.figures.bins import draw_bins
-from posenet.figures.hypotheses import draw_hypotheses
+from posenet.figures.angle_bins import draw_bins
 from posenet.figures.looked_at import look_at
+from posenet.figures.one_detection import draw_hypotheses
 from posenet.figures.relations import draw_relations
 from posenet.network.pose_network import PoseNetwork
 

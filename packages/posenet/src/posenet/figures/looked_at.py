@@ -19,7 +19,7 @@ from posenet.network.hypotheses import Hypotheses
 from posenet.network.pose_heads import PoseOutputs
 from posenet.network.pose_network import PoseNetwork
 
-# Rank of a hypothesis in its detection to a colour, RGB; told apart by the colour-blind too (Wong 2011).
+# Rank of a hypothesis in its detection to a colour, RGB; the colour-blind see the difference too (Wong 2011).
 COLORS = ((0, 158, 115), (230, 159, 0), (86, 180, 233), (204, 121, 167), (240, 228, 66))
 SCALE = 4  # pictures are so much larger than the depth image
 
@@ -46,11 +46,11 @@ class LookedAt:
         return [int(i) for i in (self.hypotheses.detection == row).nonzero()[:, 0]]
 
     def poses(self, rows: list[int]) -> NDArray[np.float64]:
-        few = self.hypotheses.select(torch.tensor(rows))
-        return self.network.codec.cam_from_obj(few.rotation, few.center)
+        shown = self.hypotheses.select(torch.tensor(rows))
+        return self.network.codec.cam_from_obj(shown.rotation, shown.center)
 
     def picture(self, groups: list[list[int]]) -> NDArray[np.uint8]:
-        """The depth image with hypotheses' contours (SCALE H, SCALE W, 3), RGB; colours by place in each group."""
+        """The depth image with hypotheses' contours (SCALE H, SCALE W, 3), RGB; colours by rank in each group."""
         view, model = self.view, self.network.model
         canvas = shade(view.depth, view.camera, SCALE)
         for rows in groups:

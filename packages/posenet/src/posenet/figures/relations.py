@@ -1,4 +1,4 @@
-"""What the joint registration is told of each pair of hypotheses: the 13 relation features as matrices."""
+"""What the joint registration reads of each pair of hypotheses: the 13 relation features as matrices."""
 
 from __future__ import annotations
 
@@ -47,17 +47,18 @@ def draw_relations(looked: LookedAt) -> Figure:
 
 def _neighbouring_groups(looked: LookedAt) -> list[list[int]]:
     """Hypotheses of the best detection and of those nearest to it, detection by detection."""
-    few = looked.hypotheses
+    hypotheses = looked.hypotheses
     first = int(looked.score.argmax())
-    away = (few.center - few.center[first]).norm(dim=1)
-    nearest = dict.fromkeys(int(few.detection[row]) for row in away.argsort())
+    away = (hypotheses.center - hypotheses.center[first]).norm(dim=1)
+    nearest = dict.fromkeys(int(hypotheses.detection[row]) for row in away.argsort())
     return [looked.of_detection(row) for row in list(nearest)[:DETECTIONS]]
 
 
 def _matrices(looked: LookedAt, rows: list[int]) -> list[NDArray[np.float64]]:
     """The features as (n, n) matrices, NaN for pairs that are no neighbours."""
-    few, index = looked.hypotheses.select(torch.tensor(rows)), torch.tensor(rows)
-    claims = HypothesisSet(looked.logit[index], few.rotation, few.center, looked.angles[index], few.detection)
+    index = torch.tensor(rows)
+    shown = looked.hypotheses.select(index)
+    claims = HypothesisSet(looked.logit[index], shown.rotation, shown.center, looked.angles[index], shown.detection)
     relations: Relations = relation_features(claims, looked.network.model_box)
     matrices = np.full((len(RELATION_NAMES), len(rows), len(rows)), np.nan)
     listener, neighbour = relations.pairs.numpy().T
@@ -85,14 +86,14 @@ def _draw_matrix(axes: Axes, values: NDArray[np.float64], name: str, edges: NDAr
 
 def _draw_image(axes: Axes, looked: LookedAt, groups: list[list[int]]) -> None:
     axes.imshow(looked.picture(groups))
-    places = []
+    corners = []
     for number, group in enumerate(groups):
         x0, y0, x1, y1 = looked.detections.boxes[int(looked.hypotheses.detection[group[0]])].tolist()
-        places += [(x0, y0), (x1, y1)]
+        corners += [(x0, y0), (x1, y1)]
         u, v = (x0 + x1) / 2 * SCALE, (y0 + y1) / 2 * SCALE
         style = {"facecolor": "black", "alpha": 0.6, "edgecolor": "none", "pad": 2}
         axes.text(u, v, chr(ord("A") + number), color="white", fontsize=12, ha="center", va="center", bbox=style)
-    low, high = np.min(places, 0) - 12, np.max(places, 0) + 12
+    low, high = np.min(corners, 0) - 12, np.max(corners, 0) + 12
     axes.set_xlim(low[0] * SCALE, high[0] * SCALE)
     axes.set_ylim(high[1] * SCALE, low[1] * SCALE)
     count = sum(len(group) for group in groups)

@@ -35,7 +35,7 @@ class TrainedModel:
 
 
 def save_model(path: Path | str, network: PoseNetwork, record: dict[str, Any], packed: bool = False) -> None:
-    """Write a model file atomically; `packed` in a quarter of the bytes (see :mod:`posenet.compact`)."""
+    """Write a model file atomically; `packed` in a quarter of the bytes (see :mod:`posenet.models.compact`)."""
     model = network.model
     weights = {name: value.detach().cpu() for name, value in network.state_dict().items()}
     document: dict[str, Any] = {

@@ -1,10 +1,10 @@
 """Poses fitted to the depth image itself: many starts, ICP, evidence from the image, one pose a detection.
 
 A network's rotation is often off by more than ICP can mend, most of all where little of an instance is seen. So the
-hypotheses that the image speaks for most (:mod:`posenet.depth_evidence`), two of a detection, are also started from
-turns of them to all sides; ICP is cheap. All poses of an image are fitted together. Of all fits of a detection the best
-is kept, fitted once more from turns half as large, and then the set is verified, best first: a depth pixel speaks for
-one pose only (after Aldoma et al. 2012, who do so for classical pipelines).
+hypotheses that the image speaks for most (:mod:`posenet.refinement.depth_evidence`), two of a detection, are also
+started from turns of them to all sides; ICP is cheap. All poses of an image are fitted together. Of all fits of a
+detection the best is kept, fitted once more from turns half as large, and then the set is verified, best first: a depth
+pixel speaks for one pose only (after Aldoma et al. 2012, who do so for classical pipelines).
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from evalkit.atomic import write_json, write_text
 from evalkit.errors import InputError
 from posenet.config import Config
 from posenet.models.model_file import MODEL_FILE, read_torch_file, write_torch_file
-from posenet.runs.curves import draw_curves
+from posenet.runs.progress_chart import draw_progress
 
 RUN_FORMAT = "binpose-run/1"
 LENGTH = ("minutes", "epochs")  # what may change from one command to the next: a longer budget goes on
@@ -119,7 +119,7 @@ class RunFolder:
         """Losses and validations so far, as lines and as curves."""
         write_text(self.path / "losses.jsonl", _lines(history))
         write_text(self.path / "metrics.jsonl", _lines(validations))
-        draw_curves(self.path / "curves.png", history, validations, self.path.name)
+        draw_progress(self.path / "curves.png", history, validations, self.path.name)
 
     def _read(self, file: Path) -> dict[str, Any]:
         try:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.drawing.plots import INK, new_figure
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.figures.looked_at import COLORS, SCALE, LookedAt
 
 if TYPE_CHECKING:
@@ -85,10 +85,10 @@ def _draw_marginal(
     axes.set_xlabel(f"{name}, {bins.count} bins", fontsize=9, color=INK)
     period = bins.high - bins.low
     for number, value in enumerate(values):
-        place = (bins.low + (value - bins.low) % period if bins.circular else value) * unit
+        position = (bins.low + (value - bins.low) % period if bins.circular else value) * unit
         color = [channel / 255 for channel in COLORS[number]]
         height = 1.12 + 0.13 * number
-        axes.plot([place, place], [1.0, height], color=color, linewidth=2)
-        axes.plot(place, height, marker="o", markersize=5, color=color)
+        axes.plot([position, position], [1.0, height], color=color, linewidth=2)
+        axes.plot(position, height, marker="o", markersize=5, color=color)
     for spine in ("top", "right", "left"):
         axes.spines[spine].set_visible(False)

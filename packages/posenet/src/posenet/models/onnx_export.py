@@ -39,7 +39,7 @@ from torch import Tensor, nn
 
 from evalkit.atomic import atomic_path, write_json
 from evalkit.errors import InputError
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.detectors.rpn import RpnDetector
 from posenet.layers.ops import clip_boxes, decode_boxes
 from posenet.network.pose_network import PoseNetwork

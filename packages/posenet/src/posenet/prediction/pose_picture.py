@@ -68,7 +68,7 @@ def _draw_score(picture: Image, center: NDArray[np.float64], score: float) -> No
     if not (np.abs(center) < 2 * max(picture.shape)).all():
         return  # behind the camera, or so far outside that pixels are no integers of OpenCV's
     u, v = (round(float(value)) for value in center)
-    place = (u + 5, v + 4)
+    corner = (u + 5, v + 4)
     for color, thickness in ((BLACK, 3), (WHITE, 1)):  # an outline keeps the figures legible on any ground
         cv2.drawMarker(picture, (u, v), color, cv2.MARKER_CROSS, 9, thickness)
-        cv2.putText(picture, f"{score:.2f}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, thickness, cv2.LINE_AA)
+        cv2.putText(picture, f"{score:.2f}", corner, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, thickness, cv2.LINE_AA)

@@ -14,7 +14,7 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel, sample_surface_with_normals
 from posenet.coding import euler
-from posenet.coding.bins import Bins
+from posenet.coding.class_bins import Bins
 from posenet.network.pose_network import PoseNetwork
 
 if TYPE_CHECKING:

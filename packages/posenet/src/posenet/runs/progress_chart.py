@@ -15,7 +15,7 @@ Rows = Sequence[dict[str, float]]
 POSITION = ("step", "images", "minutes", "progress")
 
 
-def draw_curves(path: Path | str, history: Rows, validations: Rows, title: str) -> None:
+def draw_progress(path: Path | str, history: Rows, validations: Rows, title: str) -> None:
     """Write the picture (PNG) atomically.
 
     Args:
