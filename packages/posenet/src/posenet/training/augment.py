@@ -31,7 +31,7 @@ PATCH_JUMP = 4.0  # pixels beyond its own rim from which a wrong patch may have 
 FLYING = 0.3  # largest share of the pixels at an edge that lie between its two sides
 SLOPE_GROWTH = 0.6  # largest growth of the noise with the tangent of the slope
 STEEPEST = (70.0, 90.0)  # degrees from where on a surface does not return
-FARTHEST = 255  # pixels to an edge: none near
+FARTHEST = 200  # pixels to an edge; farther ones are not told apart
 
 Image = NDArray[np.float32]
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -152,9 +152,9 @@ def _add_enlarged(coarse, cell, weight, out):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _edge_distance(depth, step):  # type: ignore[no-untyped-def]
-    """Pixels (H, W) along rows and columns to the other side of the nearest edge; FARTHEST where there is none near."""
+    """Pixels (H, W) along rows and columns to the other side of the nearest edge, at most FARTHEST."""
     height, width = depth.shape
-    out = np.full((height, width), 200, np.uint8)
+    out = np.full((height, width), FARTHEST, np.uint8)
     for v in range(height):
         for u in range(width):
             here = depth[v, u]
@@ -170,7 +170,7 @@ def _edge_distance(depth, step):  # type: ignore[no-untyped-def]
                 least = min(least, out[v, u - 1] + one)
             if v > 0:
                 least = min(least, out[v - 1, u] + one)
-            out[v, u] = min(least, np.uint8(200))
+            out[v, u] = min(least, np.uint8(FARTHEST))
     for v in range(height - 1, -1, -1):
         for u in range(width - 1, -1, -1):
             least = out[v, u]
@@ -178,7 +178,7 @@ def _edge_distance(depth, step):  # type: ignore[no-untyped-def]
                 least = min(least, out[v, u + 1] + one)
             if v + 1 < height:
                 least = min(least, out[v + 1, u] + one)
-            out[v, u] = min(least, np.uint8(200))
+            out[v, u] = min(least, np.uint8(FARTHEST))
     return out
 
 
