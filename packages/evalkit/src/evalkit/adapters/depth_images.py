@@ -30,8 +30,9 @@ class DepthImage:
 
 
 def write_depth_images(folder: Path, images: Iterable[DepthImage]) -> dict[Path, int]:
-    """Write FOLDER/ID.png, 16 bits, a tenth of a millimetre a step, and FOLDER/camera.json; how many are in a folder.
+    """Write FOLDER/ID.png, 16 bits, a tenth of a millimeter a step, and FOLDER/camera.json; how many are in a folder.
 
+    The camera's file says the step as BOP's does (depth_scale, in millimeters).
     Images of several cameras go to a folder each, FOLDER/camera-00 and so on. What is beyond 6.55 m is left out (0).
     """
     by_camera: dict[Camera, list[DepthImage]] = {}
@@ -40,7 +41,7 @@ def write_depth_images(folder: Path, images: Iterable[DepthImage]) -> dict[Path,
     counts = {}
     for number, (camera, members) in enumerate(by_camera.items()):
         place = folder if len(by_camera) == 1 else folder / f"camera-{number:02d}"
-        write_json(place / "camera.json", camera.to_json())
+        write_json(place / "camera.json", camera.to_json() | {"depth_scale": 1e3 * DEPTH_UNIT})
         for image in members:
             _write_png(place / f"{image.id}.png", image)
         counts[place] = len(members)

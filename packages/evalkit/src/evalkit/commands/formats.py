@@ -120,7 +120,7 @@ def depth(source: Path, kind: str, output: Path, **options: Any) -> None:
     16-bit PNG, 0.0001 m a step, 0 = no return. To predict on them:
 
     \b
-    posenet predict MODEL OUTPUT --camera OUTPUT/camera.json --depth-unit 0.0001 -o preds.json
+    posenet predict MODEL OUTPUT -o preds.json
     """
     from evalkit.adapters.depth_images import DEPTH_UNIT, write_depth_images
 
@@ -132,3 +132,4 @@ def depth(source: Path, kind: str, output: Path, **options: Any) -> None:
         raise InputError(f"{source}: holds no depth images of the {kind} format; check the path.")
     for folder, count in counts.items():
         click.echo(f"{folder}: {count} depth images, {DEPTH_UNIT:g} m a step, and camera.json")
+    suggest_next("posenet", "predict", "MODEL", next(iter(counts)), "--refine", "-o", "preds.json")

@@ -199,11 +199,11 @@ def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, An
 
 
 def _say_next(output: Path, job: Job, is_test: bool) -> None:
-    run = next(iter(sorted(Path("runs").glob(f"{job.model.name or 'object'}-*"))), None) if is_test else None
-    if run is None:
-        suggest_next("posenet", "fit", output)
-    else:
+    if is_test:
+        run = next(iter(sorted(Path("runs").glob(f"{job.model.name or 'object'}-*"))), "MODEL")
         suggest_next("posenet", "predict", run, output, "--refine", "-o", "preds.json")
+    else:
+        suggest_next("posenet", "fit", output)
 
 
 def _require_renderer(config: BuildConfig) -> None:
