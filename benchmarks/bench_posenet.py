@@ -38,7 +38,7 @@ from posenet.training.dataset import Frames
 WARM_UP = 2
 SIMGEN_PRESET = {"paper": "default", "small": "demo", "debug": "demo"}
 MOST_PAPER_STEPS = 3
-STAGES = ("load", "forward", "scoring", "backward", "optimiser")
+STAGES = ("load", "forward", "scoring", "backward", "optimizer")
 
 
 class Seconds(NamedTuple):
@@ -92,7 +92,7 @@ def bench(name: str, frames: Frames, steps: int, refined: int) -> dict[str, Seco
 
 
 def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> dict[str, Seconds]:
-    """Loading, forward, the scores' part of it, backward, and the optimiser's step of one batch.
+    """Loading, forward, the scores' part of it, backward, and the optimizer's step of one batch.
 
     The scores train every `scoring_every` steps, and that share of their time counts.
     """
@@ -107,7 +107,7 @@ def bench_training(network: PoseNetwork, frames: Frames, steps: int) -> dict[str
         loss = _timed(rows, "forward", _loss, network, batch)
         _timed(rows, "backward", loss.backward)
         _timed(rows, "scoring", _scoring, network, batch)
-        _timed(rows, "optimiser", _step, optimizers)
+        _timed(rows, "optimizer", _step, optimizers)
     spent = {name: _median(rows[name]).times(1 / train.batch_images) for name in STAGES}
     # What is timed as scoring runs the multi-task part once more; what it adds is the difference.
     spent["scoring"] = spent["scoring"].beyond(spent["forward"]).times(1 / train.scoring_every)

@@ -35,7 +35,7 @@ from simgen.sensors.sensor_config import SensorConfig, parse_sensor
 REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", Path(__file__).resolve().parents[2] / "shared" / "reference"))
 SLOPES = ((0, 31), (31, 45), (45, 60), (60, 72))  # degrees
 LAGS = (1, 2, 3, 5)  # pixels
-STEP, FAR_FROM_STEP, CLOSE = 0.020, 10, 4  # metres; pixels
+STEP, FAR_FROM_STEP, CLOSE = 0.020, 10, 4  # meters; pixels
 Depth = NDArray[np.float32]
 
 
@@ -173,7 +173,7 @@ def missing(returned: list[NDArray[np.bool_]]) -> float:
 
 
 def distance_to_big_step(ideal: Depth) -> NDArray[np.float64]:
-    """Chessboard distance (H, W) to the other side of the nearest step of more than STEP metres."""
+    """Chessboard distance (H, W) to the other side of the nearest step of more than STEP meters."""
     from scipy.ndimage import distance_transform_cdt
 
     beside = np.zeros(ideal.shape, bool)
@@ -208,7 +208,7 @@ def seconds_a_frame(sensor: SensorConfig) -> float:
 
 
 def draw(camera: Camera, ideal: Depth, measured: Depth, path: Path) -> None:
-    """Ideal above, measured below: depth in colours, and the surface shaded by its normals."""
+    """Ideal above, measured below: depth in colors, and the surface shaded by its normals."""
     figure = new_figure(11, 10)
     axes = figure.subplots(2, 2)
     low, high = np.percentile(ideal[ideal > 0], [0.5, 99.5])

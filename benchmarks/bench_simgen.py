@@ -31,7 +31,7 @@ from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
 from simgen.objects.prepare import prepare_object
 from simgen.physics.bin_shape import bin_mesh
 from simgen.presets import default
-from simgen.rendering.labels import label_instances, quantised
+from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.renderers import DepthRenderer
 from simgen.scenes.job import Job
 from simgen.scenes.plan import plan
@@ -149,7 +149,7 @@ def measure_frame(job: Job, measured: Measured, renderer: DepthRenderer, scene: 
     cam_from_world, camera = scene.cam_from_world[view], job.config.camera
     cam_from_obj = cam_from_world @ scene.world_from_obj
     rendering = measured.timed("raster", repeats, renderer.render, cam_from_obj, cam_from_world)
-    depth = measured.timed("quantise", repeats, quantised, rendering.depth, job.depth_unit)
+    depth = measured.timed("quantize", repeats, quantized, rendering.depth, job.depth_unit)
     labels = measured.timed("labels", repeats, label_instances, rendering, depth, cam_from_obj, job.model, camera)
     measured.visibility.extend(labels.visibility.tolist())
     return View(camera, depth, job.depth_unit, rendering.instance_id, cam_from_world, labels, scene.index, view)
@@ -168,7 +168,7 @@ def report_stages(job: Job, measured: Measured) -> None:
     stages = {
         "physics": measured.mean("physics") / views,
         "raster": measured.mean("raster"),
-        "labels": measured.mean("quantise") + measured.mean("labels"),
+        "labels": measured.mean("quantize") + measured.mean("labels"),
         "write": measured.mean("write") + measured.mean("seal"),
     }
     whole = sum(stages.values())
@@ -205,7 +205,7 @@ def report_limit(job: Job, measured: Measured) -> None:
         "what is stored, written and hashed": 2 * measured.stored,
     }
     bandwidth, total = copy_bandwidth(), sum(touched.values())
-    spent = sum(measured.mean(stage) for stage in ("raster", "quantise", "labels", "write", "seal"))
+    spent = sum(measured.mean(stage) for stage in ("raster", "quantize", "labels", "write", "seal"))
     parts = ", ".join(f"{name} {size / 1e6:.1f}" for name, size in touched.items())
     print(f"limit of raster, labels and write: {total / 1e6:.1f} MB a frame ({parts})")
     print(

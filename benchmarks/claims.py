@@ -90,18 +90,18 @@ def score_table(out: Path) -> Iterator[str]:
 
 
 def task_table(out: Path) -> Iterator[str]:
-    """Median errors of each task, learnt with the others and on its own."""
-    yield "| | centre, px | depth, mm | rotation, Sym mm |"
+    """Median errors of each task, learned with the others and on its own."""
+    yield "| | center, px | depth, mm | rotation, Sym mm |"
     yield "|---|---|---|---|"
     together = task_errors(out / "small", out / "test")
     apart = [task_errors(out / f"only-{task}", out / "test")[i] for i, task in enumerate(TASKS)]
-    for title, errors in (("learnt together", together), ("each in a network of its own", apart)):
+    for title, errors in (("learned together", together), ("each in a network of its own", apart)):
         yield f"| {title} | " + " | ".join(f"{error:.2f}" for error in errors) + " |"
 
 
 @torch.no_grad()
 def task_errors(model: Path, shards: Path) -> list[float]:
-    """Median errors of centre (pixels), depth (mm) and rotation (Sym, mm) on the true boxes, in the order of TASKS."""
+    """Median errors of center (pixels), depth (mm) and rotation (Sym, mm) on the true boxes, in the order of TASKS."""
     network = load_model(model, torch.device("cpu")).network.eval()
     frames = Frames(shards)
     found = [
@@ -121,10 +121,10 @@ def _errors(network: PoseNetwork, frames: Frames, number: int) -> tuple[Tensor, 
     outputs = network.read(images, regions)
     labels = network.codec.encode(truth, regions.windows, regions.reference_depth, regions.intrinsics)
     sides = regions.windows[:, 2:] - regions.windows[:, :2]
-    centre = ((outputs.offset - labels.offset) * sides).norm(dim=1)
+    center = ((outputs.offset - labels.offset) * sides).norm(dim=1)
     best = hypotheses.generate(outputs, regions, network.codec, network.distance, 1)
     turned = network.distance.rotation_squared(best.relative, labels.rotation).sqrt()
-    return centre, 1e3 * (best.depth - labels.depth).abs(), 1e3 * turned
+    return center, 1e3 * (best.depth - labels.depth).abs(), 1e3 * turned
 
 
 if __name__ == "__main__":

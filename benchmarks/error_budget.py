@@ -6,7 +6,7 @@ Sym AP, Siléane protocol, of posenet's predictions alone and refined (`--refine
 one band of visibility are to be found. What replaces a stage, everything after it being the network's own:
 
 * boxes: the visible boxes of all instances that training asks for, each with one and the same score;
-* centre, depth, rotation: what the region's heads would say if they were right, of the instance that the box overlaps
+* center, depth, rotation: what the region's heads would say if they were right, of the instance that the box overlaps
   most; regions of no instance keep what the network says. A coding that cannot say the truth (bins that are not
   interpolated, depths beyond them) keeps its error, and the row shows it;
 * ranking: of the hypotheses that there are, those that are right come first.
@@ -29,7 +29,7 @@ from tqdm import tqdm
 
 from evalkit.commands.group import EXIT_BAD_INPUT
 from evalkit.datasets.documents import GroundTruth, PredictionImage, Predictions
-from evalkit.datasets.ground_truth import image as labelled_image
+from evalkit.datasets.ground_truth import image as labeled_image
 from evalkit.datasets.scene import Instances
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
@@ -49,12 +49,12 @@ from posenet.network.stages import ImageFeatures
 from posenet.prediction.any_camera import trained_grid
 from posenet.prediction.predictor import PredictedPoses, Predictor
 
-POSE_STAGES = ("centre", "depth", "rotation")
+POSE_STAGES = ("center", "depth", "rotation")
 STAGES = ("boxes", *POSE_STAGES, "ranking")
 ROWS: dict[str, tuple[str, ...]] = {
     "as predicted": (),
     **{f"true {stage}": (stage,) for stage in STAGES},
-    "true centre and depth": ("centre", "depth"),
+    "true center and depth": ("center", "depth"),
     "true pose": POSE_STAGES,
     "all of it true": STAGES,
 }
@@ -121,7 +121,7 @@ class PartlyTrueNetwork(PoseNetwork):
         def corrected(truth: Tensor, said: Tensor) -> Tensor:
             return torch.where(known.view(-1, *[1] * (said.dim() - 1)), truth.to(said), said)
 
-        if "centre" in self.replaced:
+        if "center" in self.replaced:
             outputs = outputs._replace(offset=corrected(labels.offset, outputs.offset))
         if "depth" in self.replaced:
             logits = _certain(self.codec.depth_bins, labels.depth)
@@ -181,7 +181,7 @@ class Study:
         self.detectors = [network.detector for network in self.networks]
         for network in self.networks:
             network.__class__ = PartlyTrueNetwork
-        images_of = [labelled_image(*self.dataset.locate(frame)) for frame in self.frames]
+        images_of = [labeled_image(*self.dataset.locate(frame)) for frame in self.frames]
         self.truth = GroundTruth(self.dataset.header.object, images_of, source=str(shards))
         require_same_subject(self._document([]), self.truth)
 

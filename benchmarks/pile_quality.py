@@ -21,7 +21,7 @@ EVERY_VERTEX = 7  # of the mesh, for motion
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """An object's convex parts: all vertices (V, 3), and each part's planes (F, 4), outward, metres."""
+    """An object's convex parts: all vertices (V, 3), and each part's planes (F, 4), outward, meters."""
 
     vertices: Array
     planes: list[Array]
@@ -33,7 +33,7 @@ def hulls_of(job: Job) -> Hulls:
 
 
 def penetrations(hulls: Hulls, world_from_obj: Array) -> Array:
-    """Metres that some vertex of an instance is within another, for each pair that is close (pairs,); 0 = not at all.
+    """Meters that some vertex of an instance is within another, for each pair that is close (pairs,); 0 = not at all.
 
     What is measured is the convex parts, which is all that physics knows of the object.
     """
@@ -57,12 +57,12 @@ def _depth(points: Array, planes: Array) -> float:
 
 
 def below_floor(hulls: Hulls, world_from_obj: Array) -> Array:
-    """Metres that each instance (n,) is in the floor."""
+    """Meters that each instance (n,) is in the floor."""
     return np.maximum(0.0, -poses.apply(world_from_obj, hulls.vertices)[..., 2].min(1))
 
 
 def motion_afterwards(job: Job, scene: int, world_from_obj: Array, physics: PhysicsConfig) -> Array:
-    """Metres that the farthest moved vertex of each instance (n,) goes in the next two seconds."""
+    """Meters that the farthest moved vertex of each instance (n,) goes in the next two seconds."""
     body = Body.from_parts(job.convex_parts, physics.simulated_diameter)
     centers = poses.apply(world_from_obj, body.center_of_mass[None])[:, 0]
     with World(body, job.scene_bin(scene), physics) as world:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from evalkit.commands.group import EXIT_BAD_INPUT
 from evalkit.datasets.documents import GroundTruth, PredictionImage, Predictions
-from evalkit.datasets.ground_truth import image as labelled_image
+from evalkit.datasets.ground_truth import image as labeled_image
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
@@ -107,7 +107,7 @@ def compare(model: Path, shards: Path, images: int, python: Path) -> Iterator[st
     vertices, faces = head.object.vertices, head.object.faces
     if vertices is None or faces is None:
         raise InputError(f"{shards}: its object has no mesh, which point pair features are made of.")
-    truth = GroundTruth(head.object, [labelled_image(*dataset.locate(frame)) for frame in frames], source=str(shards))
+    truth = GroundTruth(head.object, [labeled_image(*dataset.locate(frame)) for frame in frames], source=str(shards))
     refiner = Refiner(head.object)
     for predictor in predictors:  # compiled and warm before any time is taken
         predictor.predict(views[0].depth, head.camera)

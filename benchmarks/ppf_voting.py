@@ -2,7 +2,7 @@
 
     python ppf_voting.py FOLDER
 
-FOLDER/model.npy (m, 6) and FOLDER/scene-*.npy (n, 6) hold points in metres and unit normals. Of each scene
+FOLDER/model.npy (m, 6) and FOLDER/scene-*.npy (n, 6) hold points in meters and unit normals. Of each scene
 FOLDER/votes-*.npz tells OpenCV's own clusters and the raw hypotheses before clustering, each with poses (k, 4, 4) and
 votes (k,), and the seconds of either. Needs numpy and cv2 only.
 """
@@ -21,22 +21,22 @@ from numpy.typing import NDArray
 SAMPLING = 0.05  # of the object's extent: distance of sampled points, and step of their distances in the table
 ANGLES = 30
 REFERENCE_SHARE = 0.2  # of the sampled scene's points vote
-# OpenCV's clusters reach over 0.05 units of length, whatever the unit, and Python cannot set it: in metres that is half
-# a bunny, in micrometres nothing, so that every hypothesis stays what it is.
-UNITS_PER_METRE = {"clustered": 1.0, "raw": 1e6}
+# OpenCV's clusters reach over 0.05 units of length, whatever the unit, and Python cannot set it: in meters that is half
+# a bunny, in micrometers nothing, so that every hypothesis stays what it is.
+UNITS_PER_METER = {"clustered": 1.0, "raw": 1e6}
 
 
 def main() -> None:
     folder = Path(sys.argv[1])
     model = np.load(folder / "model.npy", allow_pickle=False)
     size = float(np.linalg.norm(np.ptp(model[:, :3], axis=0)))
-    detectors = {name: _trained(model, scale) for name, scale in UNITS_PER_METRE.items()}
+    detectors = {name: _trained(model, scale) for name, scale in UNITS_PER_METER.items()}
     for path in sorted(folder.glob("scene-*.npy")):
         scene = np.load(path, allow_pickle=False)
         # OpenCV samples a scene by shares of the scene's extent: such that the points lie as far apart as the model's.
         step = SAMPLING * size / float(np.ptp(scene[:, :3], axis=0).max())
         found: dict[str, Any] = {}
-        for name, scale in UNITS_PER_METRE.items():
+        for name, scale in UNITS_PER_METER.items():
             wall, cpu = time.perf_counter(), time.process_time()
             results = detectors[name].match(_scaled(scene, scale), REFERENCE_SHARE, step)
             found[f"{name}_seconds"] = np.array([time.perf_counter() - wall, time.process_time() - cpu])
@@ -53,12 +53,12 @@ def _trained(model: NDArray[np.float32], scale: float) -> Any:
 
 
 def _scaled(cloud: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
-    """The same cloud (n, 6) in units of which `scale` are a metre."""
+    """The same cloud (n, 6) in units of which `scale` are a meter."""
     return cloud * np.array([scale] * 3 + [1.0] * 3, np.float32)
 
 
 def _arrays(results: Any, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses (k, 4, 4) in metres and votes (k,)."""
+    """Poses (k, 4, 4) in meters and votes (k,)."""
     poses = np.array([result.pose for result in results], float).reshape(-1, 4, 4)
     poses[:, :3, 3] /= scale
     return poses, np.array([result.numVotes for result in results], float)

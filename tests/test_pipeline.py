@@ -24,7 +24,7 @@ def succeed(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def test_a_users_own_mesh_becomes_a_scored_estimator(folder: Path, run_command: Command) -> None:
-    """Every stage on an STL in millimetres with a symmetry: what it says and writes, and that the next reads it."""
+    """Every stage on an STL in millimeters with a symmetry: what it says and writes, and that the next reads it."""
     mesh, shards, test = folder / "peg.stl", folder / "train", folder / "test"
     trimesh.creation.cylinder(radius=20.0, height=70.0, sections=48).export(mesh)
     said = succeed(run_command("simgen", "object", mesh))

@@ -30,7 +30,7 @@ def view(debug_shards):
     return ShardDataset(debug_shards)[0]
 
 
-def test_the_cloud_has_a_point_and_a_normal_towards_the_camera_for_every_usable_pixel(baseline, view):
+def test_the_cloud_has_a_point_and_a_normal_toward_the_camera_for_every_usable_pixel(baseline, view):
     cloud = baseline.oriented_cloud(view.depth, view.camera)
     assert cloud.dtype == np.float32
     assert 0.5 * (view.depth > 0).sum() < len(cloud) <= (view.depth > 0).sum()
@@ -57,7 +57,7 @@ def test_many_raw_hypotheses_become_one_fitted_pose_an_instance(baseline, view, 
     assert (apart.min(0) < 0.003).all()
 
 
-def test_the_poses_of_the_votes_are_metres_again_whatever_unit_they_were_found_in(monkeypatch):
+def test_the_poses_of_the_votes_are_meters_again_whatever_unit_they_were_found_in(monkeypatch):
     pytest.importorskip("cv2")
     spec = importlib.util.spec_from_file_location("ppf_voting", BENCHMARKS / "ppf_voting.py")
     voting = importlib.util.module_from_spec(spec)

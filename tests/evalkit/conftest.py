@@ -75,7 +75,7 @@ def random_crowd(model: ObjectModel, seed: int, images: int = 6) -> tuple[Predic
 
 
 def _random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
-    """So much alike that neighbours compete for the same hypotheses."""
+    """So much alike that neighbors compete for the same hypotheses."""
     turn = poses.from_axis_angle(rng.normal(size=(count, 3)), rng.exponential(0.25, count))
     return poses.from_rotation_translation(turn, rng.normal([0.0, 0.0, 0.5], 0.006, (count, 3)))
 

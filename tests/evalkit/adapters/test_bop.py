@@ -1,4 +1,4 @@
-"""The BOP adapters: millimetres to metres, stated symmetries kept exactly, results both ways."""
+"""The BOP adapters: millimeters to meters, stated symmetries kept exactly, results both ways."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.scoring.distances import Sym
 
-SIZE = np.array([60.0, 60.0, 100.0])  # millimetres
+SIZE = np.array([60.0, 60.0, 100.0])  # millimeters
 CENTER = np.array([3.0, -2.0, 5.0])  # of the box in its own frame, so that symmetries need translations
 K = [600.0, 0.0, 39.5, 0.0, 610.0, 29.0, 0.0, 0.0, 1.0]
 
@@ -36,7 +36,7 @@ def write_box(path, center=CENTER):
 
 
 def about(rotation, center=CENTER):
-    """The 4x4 motion in millimetres that turns about `center`."""
+    """The 4x4 motion in millimeters that turns about `center`."""
     return poses.from_rotation_translation(rotation, center - rotation @ center)
 
 
@@ -69,7 +69,7 @@ def write_dataset(root, symmetries=None, scenes=(1,), sensor=""):
         ):
             (folder / f"{name}{sensor}.json").write_text(json.dumps(document))
         for image in (3, 4):
-            depth = np.full((60, 80), 2000, np.uint16)  # 1 m at half a millimetre a step
+            depth = np.full((60, 80), 2000, np.uint16)  # 1 m at half a millimeter a step
             cv2.imwrite(str(folder / f"depth{sensor}" / f"{image:06d}.png"), depth)
     return root / "test"
 
@@ -91,9 +91,9 @@ def test_poses_project_where_bops_own_formula_puts_them(split):
     image = truth.images[0]
     assert (image.camera.width, image.camera.height) == (80, 60)
     for row, cam_from_obj in zip((rows[0], rows[2]), image.cam_from_obj, strict=True):
-        millimetres = 1000 * truth.object.vertices
+        millimeters = 1000 * truth.object.vertices
         rotation, translation = np.reshape(row["cam_R_m2c"], (3, 3)), np.array(row["cam_t_m2c"])
-        u, v, w = np.reshape(K, (3, 3)) @ (rotation @ millimetres.T + translation[:, None])
+        u, v, w = np.reshape(K, (3, 3)) @ (rotation @ millimeters.T + translation[:, None])
         ours = image.camera.project(poses.apply(cam_from_obj, truth.object.vertices))
         np.testing.assert_allclose(ours, np.stack([u / w, v / w], -1), atol=1e-9)
 
@@ -180,9 +180,9 @@ def test_the_centroid_is_moved_to_the_axis_that_is_stated_and_it_is_said(tmp_pat
         ({"symmetries_discrete": [about(turn([0, 0, 1.0], 77.7)).ravel().tolist()]}, "no finite group"),
         ({"symmetries_continuous": [{"axis": [0, 0, 0], "offset": [0, 0, 0]}]}, "axis"),
         ({"symmetries_continuous": [{"offset": [0, 0, 0]}]}, "axis"),
-        ({"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 500, 0]}]}, "millimetres"),
-        ({"symmetries_discrete": [about(C2, CENTER + 500).ravel().tolist()]}, "millimetres"),
-        ({"diameter": 0.13}, "millimetres"),
+        ({"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 500, 0]}]}, "millimeters"),
+        ({"symmetries_discrete": [about(C2, CENTER + 500).ravel().tolist()]}, "millimeters"),
+        ({"diameter": 0.13}, "millimeters"),
         ({"diameter": "big"}, "diameter"),
     ],
 )
@@ -290,7 +290,7 @@ def test_images_of_several_cameras_go_to_a_folder_each(split, tmp_path):
         ("scene_gt", lambda d: d["3"][2].update(cam_R_m2c=[2.0] * 9), "'3'.*instance 2.*rotation"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0]), "'3'.*instance 2.*cam_t_m2c"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, float("nan")]), "cam_t_m2c.*finite"),
-        ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 0.9]), "'3'.*millimetres"),
+        ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 0.9]), "'3'.*millimeters"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 9e5]), "'3'.*unit"),
         ("scene_gt", lambda d: d["3"][0].update(obj_id="1"), "'3'.*obj_id"),
         ("scene_gt", lambda d: d.update({"3": {}}), "'3'"),

@@ -115,7 +115,7 @@ def test_instances_hide_each_other_however_close_they_lie():
 
 
 def test_the_part_beyond_the_frame_counts_as_hidden():
-    edge = 100 / 400 * 0.5  # the frame's right side at half a metre
+    edge = 100 / 400 * 0.5  # the frame's right side at half a meter
     np.testing.assert_allclose(seen([edge, 0, 0.5], [-0.05, 0, 0.5]), [0.5, 1.0], atol=0.03)
     assert seen([3.0, 0, 0.5]).tolist() == [0.0]
 
@@ -181,7 +181,7 @@ def test_a_pose_that_cannot_be_read_is_refused_by_file(tmp_path, mesh, text, wor
         icvl.read_ground_truth(tmp_path / "test", visibility="full", **mesh)
 
 
-def test_depth_images_are_millimetres(tmp_path):
+def test_depth_images_are_millimeters(tmp_path):
     write_scene(tmp_path / "test" / "01", depth_mm=731)
     images = list(icvl.depth_images(tmp_path / "test"))
     assert [image.id for image in images] == ["000001-000000", "000001-000012"]

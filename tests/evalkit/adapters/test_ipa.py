@@ -58,13 +58,13 @@ def mesh(tmp_path):
 
 
 def test_points_project_where_the_sensors_own_geometry_puts_them(folder, mesh):
-    """Its large image is turned by half a turn, pixel centres lie at halves, x points left and y up."""
+    """Its large image is turned by half a turn, pixel centers lie at halves, x points left and y up."""
     truth = ipa.read_ground_truth(folder, **mesh)
     for image, drop in zip(truth.images, (2, 5), strict=True):
         for (rotation, translation, _), cam_from_obj in zip(random_rows(drop, drop), image.cam_from_obj, strict=True):
             x, y, z = (CORNERS @ rotation.T + translation).T
-            metres_per_pixel = 2 * np.tan(np.radians(15)) * z / 600
-            turned_u, turned_v = x / metres_per_pixel + 300 - 0.5, y / metres_per_pixel + 300 - 0.5
+            meters_per_pixel = 2 * np.tan(np.radians(15)) * z / 600
+            turned_u, turned_v = x / meters_per_pixel + 300 - 0.5, y / meters_per_pixel + 300 - 0.5
             expected = np.stack([599 - turned_u - 90, 599 - turned_v - 140], -1)
             np.testing.assert_allclose(image.camera.project(poses.apply(cam_from_obj, CORNERS)), expected, atol=1e-4)
     assert (truth.images[0].camera.width, truth.images[0].camera.height) == (400, 300)

@@ -60,7 +60,7 @@ def test_the_objects_published_moments_are_those_of_its_mesh(reference):
     )
 
 
-def test_the_toolbox_distance_differs_from_the_right_one_by_millimetres(reference):
+def test_the_toolbox_distance_differs_from_the_right_one_by_millimeters(reference):
     model = sileane.read_object(reference / "sileane_bunny")
     rng = np.random.default_rng(0)
     at_origin = np.zeros((1000, 3))

@@ -95,7 +95,7 @@ FAULTS = {
     "t of 2": (lambda d, i, r: r[2].update(t=[0, 0]), ["ID", "2", "'t'"]),
     "t a column": (lambda d, i, r: r[2].update(t=[[0], [0], [1]]), ["ID", "2", "'t'"]),
     "t infinite": (lambda d, i, r: r[2].update(t=[0, 0, float("inf")]), ["ID", "2", "'t'", "finite"]),
-    "t in mm": (lambda d, i, r: r[2].update(t=[0, 0, 812.0]), ["ID", "2", "'t'", "millimetres"]),
+    "t in mm": (lambda d, i, r: r[2].update(t=[0, 0, 812.0]), ["ID", "2", "'t'", "millimeters"]),
     "frame unknown": (lambda d, i, r: d.update(frame="robot"), ["frame", "robot"]),
 }  # fmt: skip
 GT_FAULTS = {

@@ -28,7 +28,7 @@ def model(splits=1):
 
 
 def colored(picture, color):
-    """Pixels (height, width) of about this colour: lines are drawn with soft edges."""
+    """Pixels (height, width) of about this color: lines are drawn with soft edges."""
     return np.abs(picture.astype(int) - color).max(-1) < 60
 
 
@@ -47,7 +47,7 @@ def test_a_silhouette_is_the_projection_however_fine_the_mesh(splits):
     assert np.abs([u.mean() - CAMERA.cx, v.mean() - CAMERA.cy]).max() < 0.6
 
 
-def test_outlines_have_the_colours_asked_for_and_leave_the_rest_alone():
+def test_outlines_have_the_colors_asked_for_and_leave_the_rest_alone():
     depth = np.full((120, 160), 0.6, np.float32)
     plain = shade(depth, CAMERA)
     picture = draw_poses(depth, CAMERA, model(), np.stack([at(-0.1), at(0.1)]), [GREEN, RED])

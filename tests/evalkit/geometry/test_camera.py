@@ -1,4 +1,4 @@
-"""Projection and unprojection undo each other; pixels are counted from their centres."""
+"""Projection and unprojection undo each other; pixels are counted from their centers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_projection_is_the_matrix_of_intrinsics() -> None:
     assert CAMERA.project(points) == pytest.approx(homogeneous[:, :2] / homogeneous[:, 2:])
 
 
-def test_the_principal_ray_meets_the_centre_of_its_pixel() -> None:
+def test_the_principal_ray_meets_the_center_of_its_pixel() -> None:
     camera = Camera(5, 5, 10, 10, 2, 2)
     assert camera.point_map(np.full((5, 5), 0.7))[2, 2] == pytest.approx([0, 0, 0.7])
 

@@ -257,7 +257,7 @@ CONTRADICTIONS = {
 
 
 @pytest.mark.parametrize("document", CONTRADICTIONS.values(), ids=CONTRADICTIONS)
-def test_what_contradicts_itself_or_is_not_modelled_is_refused_in_one_sentence(
+def test_what_contradicts_itself_or_is_not_modeled_is_refused_in_one_sentence(
     tmp_path: Path, document: dict[str, object]
 ) -> None:
     (tmp_path / "bad.json").write_text(json.dumps(document))

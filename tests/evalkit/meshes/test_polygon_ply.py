@@ -19,7 +19,7 @@ ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 
 
 def ply_bytes(encoding, polygons=POLYGONS, vertices=VERTICES):
-    """As scanners write them: normals and colours beside x, y, z, and an element nobody asked for before the faces."""
+    """As scanners write them: normals and colors beside x, y, z, and an element nobody asked for before the faces."""
     header = (
         f"ply\nformat {encoding} 1.0\ncomment made by hand\nelement vertex {len(vertices)}\n"
         "property float x\nproperty float y\nproperty double z\nproperty float nx\nproperty uchar red\n"
@@ -97,7 +97,7 @@ def test_what_a_header_lacks_is_named(tmp_path, old, new, word):
 def test_the_reference_cup_is_read(reference):
     vertices, faces = read_mesh(reference / "icvl_cup" / "cup.ply")
     assert (len(vertices), len(faces)) == (32774, 65217)
-    assert 60 < np.ptp(vertices, axis=0).min() < 120  # millimetres
+    assert 60 < np.ptp(vertices, axis=0).min() < 120  # millimeters
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

@@ -55,7 +55,7 @@ def test_concave_polygons_keep_their_area_their_winding_and_their_edges(
     assert np.linalg.norm(parts, axis=1).sum() == pytest.approx(abs(shoelace(outline)))
     directed = {(a, b) for face in faces.tolist() for a, b in zip(face, face[1:] + face[:1], strict=True)}
     rim = {(i, (i + 1) % len(outline)) for i in range(len(outline))}
-    assert {edge for edge in directed if edge[::-1] not in directed} == rim  # neighbours still meet edge to edge
+    assert {edge for edge in directed if edge[::-1] not in directed} == rim  # neighbors still meet edge to edge
 
 
 @given(st.integers(5, 12), st.integers(0, 10_000))

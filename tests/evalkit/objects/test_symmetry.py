@@ -36,7 +36,7 @@ def equivalent(symmetry: Symmetry, rotation: np.ndarray, seed: int = 0) -> np.nd
 
 
 def distance(symmetry: Symmetry, model: ObjectModel, first: np.ndarray, second: np.ndarray) -> float:
-    """Sym distance of two rotations about the same centre, in metres."""
+    """Sym distance of two rotations about the same center, in meters."""
     fixed = symmetry.representatives(first, np.zeros(3), model.lam_in_obj)[0]
     moving = symmetry.representatives(second, np.zeros(3), model.lam_in_obj)
     return float(np.linalg.norm(moving - fixed, axis=-1).min())

@@ -330,5 +330,5 @@ def test_a_browser_shows_the_page(folder, chromium, tmp_path):
     shown = cv2.imread(str(picture))
     assert shown.shape[:2] == (3000, 1280)
     assert shown.std() > 20
-    blue = np.abs(shown.astype(int) - (168, 95, 31)).max(-1) < 12  # the curves' colour, BGR
+    blue = np.abs(shown.astype(int) - (168, 95, 31)).max(-1) < 12  # the curves' color, BGR
     assert blue.sum() > 2000

@@ -57,16 +57,16 @@ def test_views_of_a_scene_are_drawn_together():
     assert scene_numbers(["000001-000", "000001-016", "000002-000", "bunny_3_070"]).tolist() == [0, 0, 1, 2]
 
 
-def test_a_method_is_not_better_than_itself_and_worse_when_spoilt(plain_model, make_crowd):
+def test_a_method_is_not_better_than_itself_and_worse_when_spoiled(plain_model, make_crowd):
     predictions, truth = make_crowd(plain_model, 5, images=60)
     result = average_precision(predictions, truth, protocol="coco")
     same = compare(result, result, 100)
     assert (same.difference.value, same.difference.low, same.difference.high, same.better) == (0, 0, 0, 0)
     fewer = [replace(image, cam_from_obj=image.cam_from_obj[:0], score=image.score[:0]) for image in predictions.images]
     fewer[::2] = predictions.images[::2]
-    spoilt = compare(result, average_precision(replace(predictions, images=fewer), truth, protocol="coco"), 100)
-    assert spoilt.difference.high < 0
-    assert spoilt.better == 0
+    spoiled = compare(result, average_precision(replace(predictions, images=fewer), truth, protocol="coco"), 100)
+    assert spoiled.difference.high < 0
+    assert spoiled.better == 0
 
 
 def test_results_on_other_images_are_not_compared(plain_model, make_crowd):

@@ -12,7 +12,7 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.objects.symmetry import Symmetry
 from evalkit.scoring.bop_distances import SYMMETRY_STEPS, Mspd, Mssd, spread_points
-from evalkit.scoring.detection_ap import DIAMETERS, MILLIMETRES, PIXELS, detection_ap
+from evalkit.scoring.detection_ap import DIAMETERS, MILLIMETERS, PIXELS, detection_ap
 
 CAMERA = Camera(320, 240, 300.0, 310.0, 160.0, 120.0)
 INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.width])
@@ -61,7 +61,7 @@ def test_beyond_the_limit_they_stay_beyond(symmetric_model, distance):
     np.testing.assert_allclose(limited[exact <= limit], exact[exact <= limit], rtol=1e-12)
 
 
-def test_a_spheres_mssd_is_the_distance_of_the_centres(plain_model):
+def test_a_spheres_mssd_is_the_distance_of_the_centers(plain_model):
     model = plain_model.with_symmetry(Symmetry.parse("sphere"))
     estimate, truth = random_pairs(np.random.default_rng(2), 10)
     gap = np.linalg.norm(model.centers(estimate) - model.centers(truth), axis=1)
@@ -101,7 +101,7 @@ def test_the_ladder_is_the_mean_of_single_scores(crowd_with_camera):
     assert found.ap == pytest.approx((np.mean(list(found.mssd.values())) + np.mean(list(found.mspd.values()))) / 2)
 
 
-def test_millimetres_are_millimetres(crowd_with_camera):
+def test_millimeters_are_millimeters(crowd_with_camera):
     predictions, truth = crowd_with_camera
     first = truth.images[-1]
     alone = replace(truth, images=[replace(first, cam_from_obj=first.cam_from_obj[:1], visibility=np.ones(1))])
@@ -109,7 +109,7 @@ def test_millimetres_are_millimetres(crowd_with_camera):
     ladder = detection_ap(
         replace(predictions, images=[PredictionImage(first.id, shifted, np.ones(1))]), alone, "mm"
     ).mssd
-    assert tuple(ladder) == MILLIMETRES
+    assert tuple(ladder) == MILLIMETERS
     assert [mm for mm, ap in ladder.items() if ap == 1.0] == [10.0, 12.0, 14.0, 16.0, 18.0, 20.0]
 
 

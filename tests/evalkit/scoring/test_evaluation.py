@@ -178,7 +178,7 @@ FAR = np.eye(4)[None] + 400.0 * np.eye(4)[2][:, None] * np.eye(4)[3]
         ({"object": {"name": "thing-none", "diameter": 100.0}}, ["diameter", "100"]),
         ({"images": [PredictionImage("nobody", FAR, np.ones(1))]}, ["nobody"]),
         ({"frame": "world"}, ["world", "camera"]),
-        ({"images": [PredictionImage("i0", FAR, np.ones(1))]}, ["i0", "millimetres"]),
+        ({"images": [PredictionImage("i0", FAR, np.ones(1))]}, ["i0", "millimeters"]),
     ],
 )
 def test_documents_that_do_not_belong_together_are_refused(plain_model, make_crowd, changes, words):
@@ -235,12 +235,12 @@ def test_the_files_origin_changes_no_score(symmetric_model, make_crowd, criterio
     np.testing.assert_allclose(result.image_ap, expected.image_ap, atol=1e-9)
 
 
-def test_millimetres_are_refused_wherever_the_files_origin_is(plain_model):
+def test_millimeters_are_refused_wherever_the_files_origin_is(plain_model):
     offset = np.array([0.0, 0.0, -60.0])
     moved, _ = with_origin_moved(plain_model, offset)
     pose = poses.from_rotation_translation(np.eye(3), [[0.0, 0.0, 0.6] - offset])
     truth = GroundTruth(moved, [GroundTruthImage("i0", None, pose, np.ones(1))])
-    in_millimetres = poses.from_rotation_translation(np.eye(3), [[0.0, 0.0, 600.0] - offset])
-    wrong = Predictions(moved.name, [PredictionImage("i0", in_millimetres, np.ones(1))])
-    with pytest.raises(InputError, match="millimetres"):
+    in_millimeters = poses.from_rotation_translation(np.eye(3), [[0.0, 0.0, 600.0] - offset])
+    wrong = Predictions(moved.name, [PredictionImage("i0", in_millimeters, np.ones(1))])
+    with pytest.raises(InputError, match="millimeters"):
         average_precision(wrong, truth)

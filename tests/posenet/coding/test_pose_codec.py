@@ -47,7 +47,7 @@ def make_object(symmetry: str, seed: int = 0) -> ObjectModel:
 
 
 def random_poses(rng: np.random.Generator, count: int) -> torch.Tensor:
-    """Poses whose centres project all over the image, corners included."""
+    """Poses whose centers project all over the image, corners included."""
     pixel = rng.uniform([0, 0], [319, 239], (count, 2))
     pixel[:4] = [[0, 0], [319, 0], [0, 239], [319, 239]]
     depth = rng.uniform(0.4, 0.9, count)

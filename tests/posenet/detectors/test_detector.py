@@ -187,9 +187,9 @@ def truth_as_output(boxes: Tensor, size: tuple[int, int], stride: int) -> heatma
     """What a perfect heatmap detector would put out for boxes (n, 4) on a grid of `size`."""
     targets = heatmap_detector.center_targets(boxes, NONE, size, stride)
     probability = torch.where(targets.center, torch.tensor(0.999), 0.5 * targets.bell).clamp(1e-4, 0.999)
-    learnt = boxes[targets.box] if len(boxes) else torch.zeros(*size, 4)
+    learned = boxes[targets.box] if len(boxes) else torch.zeros(*size, 4)
     image = (size[0] * stride, size[1] * stride)
-    return heatmap_detector.HeatmapOutputs(probability.logit()[None], learnt[None], image)
+    return heatmap_detector.HeatmapOutputs(probability.logit()[None], learned[None], image)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -200,8 +200,8 @@ def test_heatmap_targets_decode_to_the_boxes_that_made_them(seed: int) -> None:
     assert sorted(map(tuple, sure.tolist())) == sorted(map(tuple, boxes.tolist()))
 
 
-def test_neighbours_in_adjacent_cells_are_told_apart() -> None:
-    boxes = torch.tensor([[20.0, 20, 60, 50], [30, 28, 64, 66]])  # centres (40, 35) and (47, 47): cells (5, 4), (5, 5)
+def test_neighbors_in_adjacent_cells_are_told_apart() -> None:
+    boxes = torch.tensor([[20.0, 20, 60, 50], [30, 28, 64, 66]])  # centers (40, 35) and (47, 47): cells (5, 4), (5, 5)
     assert ops.box_iou(boxes, boxes)[0, 1] < 0.6
     raw = truth_as_output(boxes, (12, 16), 8)
     raw.logits[0, 5, 5] -= 2  # the one behind is less sure, so it is no local maximum
@@ -209,7 +209,7 @@ def test_neighbours_in_adjacent_cells_are_told_apart() -> None:
     assert found.boxes[:2].tolist() == boxes.tolist()
 
 
-def test_a_bell_is_one_at_a_centre_and_falls_off() -> None:
+def test_a_bell_is_one_at_a_center_and_falls_off() -> None:
     targets = heatmap_detector.center_targets(torch.tensor([[16.0, 24, 80, 88]]), NONE, (12, 16), 8)
     assert targets.center.nonzero().tolist() == [[7, 6]]
     along = targets.bell[7, 6:]
@@ -218,14 +218,14 @@ def test_a_bell_is_one_at_a_centre_and_falls_off() -> None:
     assert targets.learns_box.sum() == 9
 
 
-def test_of_two_boxes_with_one_centre_the_smaller_is_learnt() -> None:
+def test_of_two_boxes_with_one_center_the_smaller_is_learned() -> None:
     small, large = torch.tensor([40.0, 40, 56, 56]), torch.tensor([20.0, 20, 76, 76])
     for boxes in (torch.stack([small, large]), torch.stack([large, small])):
         targets = heatmap_detector.center_targets(boxes, NONE, (12, 16), 8)
         assert torch.equal(boxes[targets.box[6, 6]], small)
 
 
-def test_an_ignored_box_silences_the_negatives_at_its_centre_and_is_no_positive() -> None:
+def test_an_ignored_box_silences_the_negatives_at_its_center_and_is_no_positive() -> None:
     ignored = torch.tensor([[40.0, 40, 56, 56]])
     targets = heatmap_detector.center_targets(NONE, ignored, (12, 16), 8)
     assert not targets.center.any() and not targets.learns_box.any()
@@ -237,7 +237,7 @@ def test_an_ignored_box_silences_the_negatives_at_its_centre_and_is_no_positive(
     assert without > 5
 
 
-def test_a_box_whose_centre_lies_beyond_the_grid_is_learnt_at_its_edge() -> None:
+def test_a_box_whose_center_lies_beyond_the_grid_is_learned_at_its_edge() -> None:
     targets = heatmap_detector.center_targets(torch.tensor([[100.0, -60, 180, -10]]), NONE, (12, 16), 8)
     assert targets.center.nonzero().tolist() == [[0, 15]]
 
@@ -253,7 +253,7 @@ def test_an_untrained_heatmap_starts_at_the_prior() -> None:
 # The region proposal network
 
 
-def test_anchors_have_the_stated_areas_and_ratios_at_the_cells_centres() -> None:
+def test_anchors_have_the_stated_areas_and_ratios_at_the_cells_centers() -> None:
     shapes = rpn_detector.anchor_shapes((32.0, 64.0), (0.5, 1.0, 2.0))
     centers = heatmap_detector.cell_centers(3, 4, 16, torch.device("cpu"))
     anchors = rpn_detector.anchors_at(centers, shapes).view(3, 4, 6, 4)

@@ -34,7 +34,7 @@ def test_matrices_of_relations_hold_each_pairs_features(looked: LookedAt) -> Non
     matrices = dict(zip(RELATION_NAMES, relations._matrices(looked, rows), strict=True))
     np.testing.assert_allclose(np.diag(matrices["box IoU"]), 1.0, atol=1e-5)
     np.testing.assert_allclose(np.diag(matrices["distance"]), 0.0, atol=1e-6)
-    mutual = np.isfinite(matrices["dx"]) & np.isfinite(matrices["dx"].T)  # each has only so many neighbours
+    mutual = np.isfinite(matrices["dx"]) & np.isfinite(matrices["dx"].T)  # each has only so many neighbors
     assert mutual.sum() > len(rows)
     np.testing.assert_allclose(matrices["own score"][mutual], matrices["other's score"].T[mutual])
     np.testing.assert_allclose(matrices["dx"][mutual], -matrices["dx"].T[mutual], atol=1e-6)

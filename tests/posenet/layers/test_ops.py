@@ -120,7 +120,7 @@ def test_nms_keeps_what_the_greedy_loop_keeps(threshold: float, seed: int) -> No
     assert ops.nms(boxes, scores, threshold).tolist() == reference_nms(boxes, scores, threshold)
 
 
-def test_nms_resolves_a_chain_in_which_every_box_overlaps_only_its_neighbours() -> None:
+def test_nms_resolves_a_chain_in_which_every_box_overlaps_only_its_neighbors() -> None:
     left = torch.arange(40.0)
     boxes = torch.stack([left, left * 0, left + 1.9, left * 0 + 1], 1)
     kept = ops.nms(boxes, -left, 0.3)
@@ -153,7 +153,7 @@ def test_roi_align_equals_the_definition(aligned: bool, ratio: int) -> None:
 def test_roi_align_of_a_plane_reads_the_plane() -> None:
     """Features that rise linearly in the image are read exactly, wherever the region lies: the pixel law."""
     v, u = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
-    features = torch.stack([u + 0.5, v + 0.5])[None] * 8  # the cells' centres, in pixels
+    features = torch.stack([u + 0.5, v + 0.5])[None] * 8  # the cells' centers, in pixels
     x0, y0, side, size = 61.3, 83.9, 50.0, 5
     pooled = ops.roi_align(features, torch.tensor([[0, x0, y0, x0 + side, y0 + side]]), size, 1 / 8)[0]
     steps = (torch.arange(size) + 0.5) / size * side

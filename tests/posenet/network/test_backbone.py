@@ -54,7 +54,7 @@ def test_a_cell_of_the_thin_trunks_sees_more_than_the_largest_object(name: str) 
 
 
 def test_the_thin_trunk_sees_a_mirrored_image_mirrored() -> None:
-    """The grid is centred on the image: with mirrored kernels a mirrored image gives the mirrored features."""
+    """The grid is centered on the image: with mirrored kernels a mirrored image gives the mirrored features."""
     torch.manual_seed(0)
     trunk = trunks.thin_vgg(1, widths=(8, 8, 8)).eval()
     image = torch.rand(1, 1, 64, 96)

@@ -29,7 +29,7 @@ def test_normals_of_a_plane_are_the_planes() -> None:
         assert (inner + normal).abs().max() < 0.02  # it points at the camera
 
 
-def test_holes_have_no_normal_and_do_not_bend_their_neighbours() -> None:
+def test_holes_have_no_normal_and_do_not_bend_their_neighbors() -> None:
     normal = torch.tensor([0.2, 0.1, 0.97])
     depth = plane(normal, 0.5)
     whole = depth_input.surface_normals(depth, INTRINSICS)
@@ -76,7 +76,7 @@ def test_the_median_depth_ignores_holes_and_is_zero_where_nothing_returned() -> 
     torch.testing.assert_close(found, torch.tensor([0.5, 0.0]))
 
 
-def test_a_metric_region_has_one_size_in_metres_at_any_distance_and_occlusion() -> None:
+def test_a_metric_region_has_one_size_in_meters_at_any_distance_and_occlusion() -> None:
     config = NetworkConfig(roi="metric", roi_scale=1.0)
     for depth_value in (0.4, 0.8):
         depth = torch.full((1, 48, 64), depth_value)

@@ -70,7 +70,7 @@ def test_overlap_of_boxes_counts_their_voxels() -> None:
     )
 
 
-def test_neighbours_overlap_or_are_siblings_or_oneself_and_nobody_else_is() -> None:
+def test_neighbors_overlap_or_are_siblings_or_oneself_and_nobody_else_is() -> None:
     hypotheses = random_hypotheses(60)
     boxes = registration.posed_boxes(hypotheses.rotation, hypotheses.center, MODEL_BOX)
     overlap = registration.box_iou_3d(boxes, boxes)
@@ -81,7 +81,7 @@ def test_neighbours_overlap_or_are_siblings_or_oneself_and_nobody_else_is() -> N
     actual[pairs[:, 0], pairs[:, 1]] = True
     assert torch.equal(actual, expected)
     assert expected.diagonal().all()
-    assert (pairs[1:, 0] >= pairs[:-1, 0]).all(), "sorted by listener, as the maximum over neighbours needs it"
+    assert (pairs[1:, 0] >= pairs[:-1, 0]).all(), "sorted by listener, as the maximum over neighbors needs it"
 
 
 def test_a_relation_holds_the_thirteen_stated_numbers() -> None:
@@ -138,7 +138,7 @@ def test_any_number_of_hypotheses_is_taken(count: int) -> None:
     torch.manual_seed(0)
     network = JointRegistration(blocks=1, width=32)
     relations = relation_features(random_hypotheses(count, spread=0.02), MODEL_BOX)  # all overlap all
-    assert len(relations.pairs) == count * min(count, registration.MAX_NEIGHBOURS)
+    assert len(relations.pairs) == count * min(count, registration.MAX_NEIGHBORS)
     logits = network(relations)
     assert logits.shape == (count,)
     loss = registration_loss(logits, -torch.ones(count))
@@ -147,7 +147,7 @@ def test_any_number_of_hypotheses_is_taken(count: int) -> None:
     assert all(p.grad is not None and torch.isfinite(p.grad).all() for p in network.parameters())
 
 
-def test_of_too_many_neighbours_siblings_and_then_the_closest_stay() -> None:
+def test_of_too_many_neighbors_siblings_and_then_the_closest_stay() -> None:
     hypotheses = random_hypotheses(100, spread=0.02)
     most = 20
     relations = relation_features(hypotheses, MODEL_BOX, most)
@@ -166,7 +166,7 @@ def test_of_too_many_neighbours_siblings_and_then_the_closest_stay() -> None:
 
 
 @pytest.mark.parametrize("most", [20, 500])
-def test_in_portions_the_neighbours_are_those_of_all_at_once(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+def test_in_portions_the_neighbors_are_those_of_all_at_once(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     hypotheses = random_hypotheses(100, spread=0.02)
     whole = relation_features(hypotheses, MODEL_BOX, most)
     monkeypatch.setattr(registration, "LISTENERS_AT_ONCE", 7)
@@ -182,7 +182,7 @@ def pair_set(relations: registration.Relations) -> torch.Tensor:
     return rows[order]
 
 
-def test_the_maximum_over_neighbours_equals_the_loop() -> None:
+def test_the_maximum_over_neighbors_equals_the_loop() -> None:
     generator = torch.Generator().manual_seed(0)
     counts = torch.randint(1, 6, (20,), generator=generator)
     messages = torch.randn(int(counts.sum()), 7, generator=generator, requires_grad=True)
@@ -331,6 +331,6 @@ def test_it_learns_to_keep_the_best_hypothesis_of_each_instance() -> None:
     unseen = [crowd(1000 + seed) for seed in range(20)]
     labels = torch.cat([labels for _, labels, _ in unseen])
     with torch.no_grad():
-        learnt = average_precision(torch.cat([network(relations) for relations, _, _ in unseen]), labels)
+        learned = average_precision(torch.cat([network(relations) for relations, _, _ in unseen]), labels)
     assert average_precision(torch.cat([scores for _, _, scores in unseen]), labels) < 0.8
-    assert learnt > 0.95
+    assert learned > 0.95

@@ -23,7 +23,7 @@ CAMERA = Camera(40, 30, 50.0, 51.0, 19.0, 15.5)
 
 
 def surface() -> np.ndarray:
-    """A slanted plane with a hole, in metres."""
+    """A slanted plane with a hole, in meters."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     depth = (0.6 + 0.004 * u + 0.002 * v).astype(np.float32)
     depth[5:9, 7:12] = 0.0
@@ -56,9 +56,9 @@ def test_a_saturated_value_is_no_return_and_that_is_said(
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e-4, 2.5e-4, 1 / 5000])
-def test_saturated_depths_that_are_metres_already_are_no_return_too(unit: float) -> None:
-    metres = steps(65535, unit).astype(np.float32) * np.float32(unit)
-    clean = without_nan(metres, CAMERA, "the image")
+def test_saturated_depths_that_are_meters_already_are_no_return_too(unit: float) -> None:
+    meters = steps(65535, unit).astype(np.float32) * np.float32(unit)
+    clean = without_nan(meters, CAMERA, "the image")
     assert clean.max() < 1.0
     assert (clean[5:9, 7:12] == 0).all()
 
@@ -94,7 +94,7 @@ def test_the_user_says_what_no_return_is(tmp_path: Path) -> None:
     assert read_depth(tmp_path / "far.png", 1e-3, no_return=0).max() > 65  # overridden: the wall is there
 
 
-def test_millimetres_in_a_float_file_are_refused_until_the_unit_is_said(tmp_path: Path) -> None:
+def test_millimeters_in_a_float_file_are_refused_until_the_unit_is_said(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", surface() * 1000)
     with pytest.raises(InputError, match=r"depth\.npy.*--depth-unit 0\.001"):
         read_depth(tmp_path / "depth.npy", None)
@@ -146,7 +146,7 @@ def test_an_exr_file_is_a_depth_image(tmp_path: Path) -> None:
     for name, channels in (
         ("alone", {"Y": depth}),
         ("named", {"ViewLayer.Depth.Z": depth, "ViewLayer.Combined.R": depth * 0}),
-        ("grey", {"R": depth, "G": depth, "B": depth}),
+        ("gray", {"R": depth, "G": depth, "B": depth}),
     ):
         openexr.File({"type": openexr.scanlineimage}, channels).write(str(tmp_path / f"{name}.exr"))
         np.testing.assert_allclose(read_depth(tmp_path / f"{name}.exr", None), surface(), atol=1e-6)
@@ -202,10 +202,10 @@ def test_an_organized_point_cloud_is_a_depth_image(tmp_path: Path) -> None:
     files.append(write_ply(tmp_path / "zeros.ply", False, zeros))
     for file in files:
         np.testing.assert_allclose(open_source(file, camera).read(0), surface(), atol=1e-6)
-    millimetres = write_pcd(tmp_path / "mm.pcd", "binary", cloud(1000.0))
+    millimeters = write_pcd(tmp_path / "mm.pcd", "binary", cloud(1000.0))
     with pytest.raises(InputError, match=r"mm\.pcd.*--depth-unit 0\.001"):
-        open_source(millimetres, camera).read(0)
-    np.testing.assert_allclose(open_source(millimetres, camera, 1e-3).read(0), surface(), atol=1e-6)
+        open_source(millimeters, camera).read(0)
+    np.testing.assert_allclose(open_source(millimeters, camera, 1e-3).read(0), surface(), atol=1e-6)
 
 
 def test_a_cloud_without_a_camera_tells_its_own(tmp_path: Path) -> None:

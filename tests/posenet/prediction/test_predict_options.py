@@ -57,9 +57,9 @@ def test_without_registration_the_score_is_the_confidence(run_folder: Path, view
     np.testing.assert_allclose(found.score, confidence, atol=1e-4)
 
 
-def test_without_offset_the_box_centre_stands_in(run_folder: Path, view: View) -> None:
+def test_without_offset_the_box_center_stands_in(run_folder: Path, view: View) -> None:
     found = predictor(run_folder, PredictOptions(offset=False)).predict(view.depth, view.camera)
     model = predictor(run_folder, PredictOptions()).model
     projected = view.camera.project(model.centers(found.cam_from_obj))
-    middle = found.boxes.reshape(-1, 2, 2).mean(1) - 0.5  # integer pixels are centres, boxes count from corners
+    middle = found.boxes.reshape(-1, 2, 2).mean(1) - 0.5  # integer pixels are centers, boxes count from corners
     np.testing.assert_allclose(projected, middle, atol=0.02)

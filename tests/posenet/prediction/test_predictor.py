@@ -58,7 +58,7 @@ def test_holes_and_nan_are_no_return(predictor: Predictor, debug_shards: Path) -
     np.testing.assert_array_equal(a.cam_from_obj, b.cam_from_obj)
 
 
-def test_millimetres_read_as_metres_are_refused(predictor: Predictor, debug_shards: Path) -> None:
+def test_millimeters_read_as_meters_are_refused(predictor: Predictor, debug_shards: Path) -> None:
     view = ShardDataset(debug_shards)[0]
     with pytest.raises(InputError, match="--depth-unit"):
         predictor.predict(view.depth * 1000, view.camera)
@@ -130,7 +130,7 @@ def write_image(view: object, folder: Path, suffix: str) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff", ".npy"])
-def test_every_kind_of_depth_image_reads_as_metres(debug_shards: Path, tmp_path: Path, suffix: str) -> None:
+def test_every_kind_of_depth_image_reads_as_meters(debug_shards: Path, tmp_path: Path, suffix: str) -> None:
     view = ShardDataset(debug_shards)[0]
     path = write_image(view, tmp_path, suffix)
     depth = read_depth(path, 0.001 if suffix == ".png" else None)

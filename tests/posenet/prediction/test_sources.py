@@ -1,4 +1,4 @@
-"""Depth images come from shards, files, folders and Siléane's folders; all say metres, names and one camera."""
+"""Depth images come from shards, files, folders and Siléane's folders; all say meters, names and one camera."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path: Path) -> None:
     camera, empty, twins = write_camera(tmp_path), tmp_path / "empty", write_folder(tmp_path / "twins")
     empty.mkdir()
     np.save(twins / "a.npy", depth_image())
-    eight_bit, archive = tmp_path / "grey.png", tmp_path / "archive.npy"
+    eight_bit, archive = tmp_path / "gray.png", tmp_path / "archive.npy"
     cv2.imwrite(str(eight_bit), np.zeros((30, 40), np.uint8))
     with open(archive, "wb") as file:
         np.savez(file, depth_image())

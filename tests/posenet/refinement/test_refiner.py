@@ -58,9 +58,9 @@ def distance(model: ObjectModel, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.norm(model.representatives(a) - model.representatives(b)[..., :1, :], axis=-1).min(-1)
 
 
-def disturbed(pose: np.ndarray, rng: np.random.Generator, count: int, metres: float, radians: float) -> np.ndarray:
+def disturbed(pose: np.ndarray, rng: np.random.Generator, count: int, meters: float, radians: float) -> np.ndarray:
     turn = poses.from_axis_angle(rng.standard_normal((count, 3)), np.full(count, radians))
-    shift = pose[:3, 3] + rng.uniform(-metres, metres, (count, 3))
+    shift = pose[:3, 3] + rng.uniform(-meters, meters, (count, 3))
     return poses.from_rotation_translation(turn @ pose[:3, :3], shift)
 
 
@@ -162,7 +162,7 @@ def test_no_hypotheses_and_no_depth_are_no_trouble(scene: tuple[ObjectModel, np.
     assert len(empty.score) == 0
 
 
-def test_turns_keep_the_centre_and_go_to_all_sides(scene: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+def test_turns_keep_the_center_and_go_to_all_sides(scene: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
     _, pose, _ = scene
     center = np.array([0.01, 0.02, -0.03])
     turned = refine.turns(np.stack([pose, pose @ pose]), center, 8, 0.3)

@@ -64,7 +64,7 @@ def test_noise_stays_within_its_bound_and_differs_from_image_to_image() -> None:
     assert np.std(errors) > 0.2 * np.mean(errors) and np.mean(errors) > 0.1 * 0.02 * DIAMETER
 
 
-def test_noise_of_neighbouring_pixels_is_correlated() -> None:
+def test_noise_of_neighboring_pixels_is_correlated() -> None:
     near = []
     for seed in range(10):
         image = degraded(table(), 0.02, 0.0, seed)

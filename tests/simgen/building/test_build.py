@@ -92,9 +92,9 @@ def test_a_complete_folder_is_left_alone(copy: Path) -> None:
 
 def test_only_missing_and_damaged_shards_are_built(copy: Path, built: Path) -> None:
     (copy / shard_name(0)).unlink()
-    spoilt = bytearray((copy / shard_name(2)).read_bytes())
-    spoilt[len(spoilt) // 2] ^= 1
-    (copy / shard_name(2)).write_bytes(spoilt)
+    spoiled = bytearray((copy / shard_name(2)).read_bytes())
+    spoiled[len(spoiled) // 2] ^= 1
+    (copy / shard_name(2)).write_bytes(spoiled)
     (copy / f".{shard_name(1)}.abc.tmp").write_bytes(b"half")
     before = times(copy)
     report = build(job_of(), copy, workers=1)

@@ -50,9 +50,9 @@ def truncate(path: Path) -> None:
 
 
 def flip_a_bit(path: Path) -> None:
-    spoilt = bytearray(path.read_bytes())
-    spoilt[len(spoilt) // 2] ^= 4
-    path.write_bytes(spoilt)
+    spoiled = bytearray(path.read_bytes())
+    spoiled[len(spoiled) // 2] ^= 4
+    path.write_bytes(spoiled)
 
 
 def test_damaged_and_missing_shards_are_named_and_rebuilt_to_the_byte(built: Path, copy: Path) -> None:
@@ -75,10 +75,10 @@ def test_damaged_and_missing_shards_are_named_and_rebuilt_to_the_byte(built: Pat
 def test_where_every_shard_is_damaged_the_object_is_read_from_what_is_left(built: Path, copy: Path) -> None:
     for shard in range(3):
         path = copy / shard_name(shard)
-        spoilt = bytearray(path.read_bytes())
-        spoilt[100] ^= 1  # in the checksum's own block
-        path.write_bytes(spoilt)
-        flip_a_bit(path) if shard else path.write_bytes(spoilt[:40] + b"0000" + spoilt[44:])
+        spoiled = bytearray(path.read_bytes())
+        spoiled[100] ^= 1  # in the checksum's own block
+        path.write_bytes(spoiled)
+        flip_a_bit(path) if shard else path.write_bytes(spoiled[:40] + b"0000" + spoiled[44:])
     assert verify(copy, "--repair", "--workers", "1").exit_code == 0
     assert contents(copy) == contents(built)
 
@@ -122,10 +122,10 @@ def test_any_flipped_bit_is_a_problem_told_and_no_crash(copy: Path) -> None:
     path, rng = copy / shard_name(1), np.random.default_rng(0)
     sound = path.read_bytes()
     for number in range(24):
-        spoilt = bytearray(sound)
+        spoiled = bytearray(sound)
         place = int(rng.integers(512, 4096 if number % 2 else len(sound)))
-        spoilt[place] ^= 1 << int(rng.integers(8))
-        path.write_bytes(spoilt)
+        spoiled[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(spoiled)
         result = verify(path)
         assert result.exit_code == 2 and f"{shard_name(1)}" in result.stderr, (place, result.output)
         assert result.exception is None or isinstance(result.exception, SystemExit)

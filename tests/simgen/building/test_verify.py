@@ -21,7 +21,7 @@ from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from simgen.building.verify import verify_shards
 from simgen.objects.builtin import BUILTIN_OBJECTS
-from simgen.rendering.labels import label_instances, quantised
+from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.rasterizer import Rasterizer
 
 CAMERA = Camera(96, 72, 90.0, 90.0, 47.5, 35.5)
@@ -42,7 +42,7 @@ def views_of(scene: int) -> list[View]:
     for view in range(VIEWS):
         cam_from_world = poses.from_rotation_translation(poses.from_axis_angle([0, 1, 0], 0.1 * view), [0, 0, 0.05])
         rendering = rasterizer.render(cam_from_world @ world_from_obj, cam_from_world)
-        depth = quantised(rendering.depth, UNIT)
+        depth = quantized(rendering.depth, UNIT)
         depth[::7, ::5] = 0  # some pixels give no return
         labels = label_instances(rendering, depth, cam_from_world @ world_from_obj, MODEL, CAMERA)
         views.append(View(CAMERA, depth, UNIT, rendering.instance_id, cam_from_world, labels, scene, view))
@@ -102,7 +102,7 @@ def test_sound_shards_have_no_problem(shards: Path) -> None:
     report = verify_shards(shards)
     assert report.problems == []
     assert (report.shards, report.frames, len(report.scenes)) == (SCENES, SCENES * VIEWS, SCENES)
-    assert f"{SCENES * VIEWS * 5} labelled instances" in report.summary
+    assert f"{SCENES * VIEWS * 5} labeled instances" in report.summary
     assert "all checksums and label laws hold" in report.summary
 
 
@@ -133,8 +133,8 @@ LABEL_CHANGES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "a loose box": (set_value("box_visible", (ROW, 0), 0), "box_visible of instance 0"),
     "a box for what is hidden": (set_value("box_visible", ROW + 4, [1, 1, 5, 5]), "box_visible of instance 4"),
     "a full box too small": (set_value("box_full", ROW, [0, 0, 1, 1]), "box_full of instance 0"),
-    "a centre elsewhere": (set_value("center_px", (ROW + 2, 0), 3.0), "center_px of instance 2"),
-    "a centre not a number": (set_value("center_px", (ROW + 2, 0), np.nan), "center_px of instance 2"),
+    "a center elsewhere": (set_value("center_px", (ROW + 2, 0), 3.0), "center_px of instance 2"),
+    "a center not a number": (set_value("center_px", (ROW + 2, 0), np.nan), "center_px of instance 2"),
     "a pose that is not rigid": (set_value("cam_from_obj", (ROW, 0, 0), 2.0), "cam_from_obj of instance 0"),
     "a pose not a number": (set_value("cam_from_obj", (ROW, 0, 3), np.nan), "cam_from_obj of instance 0"),
     "a camera that is not rigid": (set_value("cam_from_world", (1, 3, 0), 1.0), "cam_from_world"),

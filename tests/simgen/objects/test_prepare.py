@@ -1,4 +1,4 @@
-"""From a file or a name to an object in metres: the same object, however it is written down."""
+"""From a file or a name to an object in meters: the same object, however it is written down."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ def no_convex_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(meshes, "convex_parts", lambda vertices, faces: ([(vertices, faces)], []))
 
 
-def brick_file(folder: Path, metres_per_unit: float = 1.0, name: str = "brick.stl") -> str:
+def brick_file(folder: Path, meters_per_unit: float = 1.0, name: str = "brick.stl") -> str:
     mesh = BRICK.copy()
-    mesh.apply_scale(1 / metres_per_unit)
+    mesh.apply_scale(1 / meters_per_unit)
     mesh.export(folder / name)
     return str(folder / name)
 
 
 @pytest.mark.parametrize("name", ["brick.ply", "brick.stl", "brick.obj", "brick.off"])
-@pytest.mark.parametrize("metres_per_unit", [1.0, 1e-3])
-def test_metres_and_millimeters_give_the_same_object(tmp_path: Path, name: str, metres_per_unit: float) -> None:
-    prepared = prepare_object(brick_file(tmp_path, metres_per_unit, name))
+@pytest.mark.parametrize("meters_per_unit", [1.0, 1e-3])
+def test_meters_and_millimeters_give_the_same_object(tmp_path: Path, name: str, meters_per_unit: float) -> None:
+    prepared = prepare_object(brick_file(tmp_path, meters_per_unit, name))
     assert prepared.warnings == []
     assert prepared.model.diameter == pytest.approx(np.linalg.norm(BRICK.extents), rel=1e-5)
     assert prepared.model.symmetry.name == "dihedral:2"
     assert prepared.mesh.volume == pytest.approx(BRICK.volume, rel=1e-5)
-    assert prepared.model.notes["units"] == {1.0: "m", 1e-3: "mm"}[metres_per_unit]
+    assert prepared.model.notes["units"] == {1.0: "m", 1e-3: "mm"}[meters_per_unit]
 
 
 @pytest.mark.parametrize("scale", [0.5, 3.0])
 @pytest.mark.parametrize("units", ["m", "mm"])
 def test_units_and_scale_multiply(tmp_path: Path, scale: float, units: str) -> None:
-    metres = {"m": 1.0, "mm": 1e-3}[units]
-    prepared = prepare_object(brick_file(tmp_path, metres), units=units, scale=scale, symmetry="none")
+    meters = {"m": 1.0, "mm": 1e-3}[units]
+    prepared = prepare_object(brick_file(tmp_path, meters), units=units, scale=scale, symmetry="none")
     assert prepared.model.diameter == pytest.approx(scale * np.linalg.norm(BRICK.extents), rel=1e-5)
     assert prepared.mesh.volume == pytest.approx(scale**3 * BRICK.volume, rel=1e-5)
     assert np.ptp(prepared.convex_parts[0][0], axis=0) == pytest.approx(scale * BRICK.extents, rel=1e-5)

@@ -143,7 +143,7 @@ def test_a_screw_and_a_car_door_pile_up_like_a_cup(scale: float) -> None:
     assert points[..., 2].max() < 0.2 * scale
 
 
-def test_the_centre_of_mass_is_that_of_the_volume() -> None:
+def test_the_center_of_mass_is_that_of_the_volume() -> None:
     mesh = trimesh.creation.box([0.1, 0.2, 0.3])
     mesh.apply_translation([1.0, 2.0, 3.0])
     other = trimesh.creation.box([0.1, 0.2, 0.3])

@@ -84,7 +84,7 @@ def test_measured_points_lie_on_the_ground_the_walls_or_an_instance(dataset: Sha
         assert away.max() < dataset.header.object.diameter / 2 + 1e-3
 
 
-def test_instances_have_the_colours_of_the_contact_sheet(dataset: ShardDataset) -> None:
+def test_instances_have_the_colors_of_the_contact_sheet(dataset: ShardDataset) -> None:
     views = dataset[0:1]
     document = scene_document(views, dataset.header.object)
     count = len(views[0].instances)

@@ -22,7 +22,7 @@ CAMERA = Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
 MODEL = ObjectModel.from_mesh("bunny", *BUILTIN_OBJECTS["bunny"].make())
 
 
-def labelled_view(scene: int, view: int, visibility: float = 0.75) -> View:
+def labeled_view(scene: int, view: int, visibility: float = 0.75) -> View:
     """One instance as a block of pixels, another one hidden; depth with a hole."""
     depth, ids = np.full((60, 80), 5000, np.uint16), np.zeros((60, 80), np.uint16)
     depth[20:40, 30:50], ids[20:40, 30:50] = 4000, 1
@@ -45,13 +45,13 @@ def dataset_of(folder: Path, scenes: int, views: int) -> ShardDataset:
     with ShardWriter(folder / shard_name(0), ShardHeader(CAMERA, 1e-4, MODEL), scenes * views) as writer:
         for scene in range(scenes):
             for view in range(views):
-                writer.append(labelled_view(scene, view))
+                writer.append(labeled_view(scene, view))
     return ShardDataset(folder)
 
 
-def test_a_sheet_writes_depth_in_millimetres_and_every_visibility(tmp_path: Path) -> None:
+def test_a_sheet_writes_depth_in_millimeters_and_every_visibility(tmp_path: Path) -> None:
     figure = contact_sheet(dataset_of(tmp_path, 2, 1), [0, 1])
-    assert len(figure.axes) == 2 * 4  # three pictures and a colour bar a row
+    assert len(figure.axes) == 2 * 4  # three pictures and a color bar a row
     depth = figure.axes[0].images[0]
     shown = np.asarray(depth.get_array(), float)
     assert shown[30, 40] == pytest.approx(400.0) and shown[50, 60] == pytest.approx(500.0)
@@ -64,12 +64,12 @@ def test_a_sheet_writes_depth_in_millimetres_and_every_visibility(tmp_path: Path
     assert any("1 hidden" in axes.get_title(loc="left") for axes in figure.axes)
 
 
-def test_instances_are_drawn_in_their_own_colour(tmp_path: Path) -> None:
+def test_instances_are_drawn_in_their_own_color(tmp_path: Path) -> None:
     figure = contact_sheet(dataset_of(tmp_path, 1, 1), [0])
     picture = np.asarray(figure.axes[1].images[0].get_array(), float)
     hue = instance_colors(2)[0]
     assert np.corrcoef(picture[30, 40], hue)[0, 1] > 0.95
-    assert np.ptp(picture[55, 70]) < 0.05  # the background is grey
+    assert np.ptp(picture[55, 70]) < 0.05  # the background is gray
 
 
 @pytest.mark.parametrize(("scenes", "views", "count"), [(5, 3, 4), (2, 3, 4), (1, 2, 5), (6, 1, 6), (3, 2, 1)])
@@ -86,7 +86,7 @@ def colors_drawn(model: ObjectModel, pose: np.ndarray) -> set[tuple[int, ...]]:
     return {tuple(int(c) for c in pixel) for pixel in picture.reshape(-1, 3)}
 
 
-def test_axes_and_the_symmetry_axis_are_drawn_in_their_colours() -> None:
+def test_axes_and_the_symmetry_axis_are_drawn_in_their_colors() -> None:
     pose = poses.from_rotation_translation(poses.from_axis_angle([1, 2, 3], 1.0), [0, 0, 0.3])
     assert set(AXIS_COLORS) <= colors_drawn(MODEL, pose)
     assert SYMMETRY_COLOR not in colors_drawn(MODEL, pose)
@@ -100,7 +100,7 @@ def test_axes_behind_the_camera_are_left_out(z: float) -> None:
     colors_drawn(MODEL.with_symmetry(Symmetry.parse("revolution")), pose)
 
 
-def test_colours_of_neighbours_differ() -> None:
+def test_colors_of_neighbors_differ() -> None:
     colors = instance_colors(300)
     assert ((colors >= 0) & (colors <= 1)).all()
     assert np.abs(np.diff(colors, axis=0)).max(1).min() > 0.2

@@ -1,4 +1,4 @@
-"""OpenGL draws what our rasteriser draws. Skipped, with the reason, where there is no OpenGL."""
+"""OpenGL draws what our rasterizer draws. Skipped, with the reason, where there is no OpenGL."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def shift(depth: NDArray[np.float32], reference: NDArray[np.float32]) -> NDArray
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_depth_is_that_of_our_rasteriser_without_a_shift(both: tuple, seed: int) -> None:
+def test_depth_is_that_of_our_rasterizer_without_a_shift(both: tuple, seed: int) -> None:
     gl, cpu = (renderer.render(pile(seed), FROM_ABOVE) for renderer in both)
     same = gl.instance_id == cpu.instance_id
     assert same.mean() > 0.999

@@ -10,7 +10,7 @@ from evalkit.datasets.scene import Instances
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
-from simgen.rendering.labels import label_instances, quantised
+from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.rasterizer import Rasterizer, Rendering
 
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)
@@ -32,10 +32,10 @@ def rendered(cam_from_obj: np.ndarray, camera: Camera = CAMERA) -> Rendering:
     return Rasterizer(camera, MODEL.vertices, MODEL.faces).render(cam_from_obj, np.eye(4))
 
 
-def labelled(seed: int, drop_out: float = 0.0) -> tuple[Instances, Rendering, np.ndarray]:
+def labeled(seed: int, drop_out: float = 0.0) -> tuple[Instances, Rendering, np.ndarray]:
     cam_from_obj = crowd(seed)
     rendering = rendered(cam_from_obj)
-    depth_raw = quantised(rendering.depth, UNIT)
+    depth_raw = quantized(rendering.depth, UNIT)
     depth_raw[np.random.default_rng(seed).random(depth_raw.shape) < drop_out] = 0
     return label_instances(rendering, depth_raw, cam_from_obj, MODEL, CAMERA), rendering, depth_raw
 
@@ -48,7 +48,7 @@ def box_of(mask: np.ndarray) -> list[int]:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("drop_out", [0.0, 0.3])
 def test_visibility_and_boxes_equal_a_brute_force_count(seed: int, drop_out: float) -> None:
-    labels, rendering, depth_raw = labelled(seed, drop_out)
+    labels, rendering, depth_raw = labeled(seed, drop_out)
     larger = Camera(360, 270, CAMERA.fx, CAMERA.fy, CAMERA.cx + 120, CAMERA.cy + 90)
     for row, pose in enumerate(crowd(seed)):
         visible = (rendering.instance_id == row + 1) & (depth_raw > 0)
@@ -62,7 +62,7 @@ def test_visibility_and_boxes_equal_a_brute_force_count(seed: int, drop_out: flo
 
 @pytest.mark.parametrize("seed", range(4))
 def test_visibility_lies_between_nought_and_one(seed: int) -> None:
-    labels, rendering, _ = labelled(seed)
+    labels, rendering, _ = labeled(seed)
     assert (labels.visibility >= 0).all() and (labels.visibility <= 1).all()
     assert 0 < labels.visibility.min() + labels.visibility.max() < 2, "some hide others"
     assert labels.pixels_visible.sum() == (rendering.instance_id > 0).sum()
@@ -72,14 +72,14 @@ def test_an_instance_out_of_sight_has_no_visible_pixel_and_still_a_row() -> None
     pose = np.eye(4)[None].repeat(2, 0)
     pose[:, :3, 3] = [[0, 0, 0.4], [9.0, 0, 0.4]]
     rendering = rendered(pose)
-    labels = label_instances(rendering, quantised(rendering.depth, UNIT), pose, MODEL, CAMERA)
+    labels = label_instances(rendering, quantized(rendering.depth, UNIT), pose, MODEL, CAMERA)
     assert labels.instance.tolist() == [0, 1]
     assert labels.visibility[1] == 0 and labels.pixels_full[1] > 0
     assert labels.box_visible[1].tolist() == [0, 0, 0, 0]
 
 
-def test_the_centre_is_the_projected_centroid() -> None:
-    labels, _, _ = labelled(1)
+def test_the_center_is_the_projected_centroid() -> None:
+    labels, _, _ = labeled(1)
     centroid = poses.apply(labels.cam_from_obj, MODEL.centroid[None])[:, 0]
     assert np.allclose(labels.center_px, CAMERA.project(centroid), atol=1e-4)
     assert np.abs(labels.center_px - CAMERA.project(labels.cam_from_obj[:, :3, 3])).max() > 0.5
@@ -87,4 +87,4 @@ def test_the_centre_is_the_projected_centroid() -> None:
 
 def test_depth_is_rounded_to_its_unit_and_lost_beyond_sixteen_bits() -> None:
     depth = np.array([[0.0, 0.12344, 0.12346, 6.5535, 6.56, 100.0]], np.float32)
-    assert quantised(depth, UNIT).tolist() == [[0, 1234, 1235, 65535, 0, 0]]
+    assert quantized(depth, UNIT).tolist() == [[0, 1234, 1235, 65535, 0, 0]]

@@ -44,7 +44,7 @@ def plain_depth(triangles: NDArray[np.float64], camera: Camera) -> NDArray[np.fl
 
 
 def embree_image(triangles: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Depth and instance ids of (instances, faces, 3, 3), by rays through the pixels' centres."""
+    """Depth and instance ids of (instances, faces, 3, 3), by rays through the pixels' centers."""
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
@@ -60,11 +60,11 @@ def embree_image(triangles: NDArray[np.float64], camera: Camera) -> tuple[NDArra
 
 
 def away_from_edges(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Pixels whose eight neighbours show the same instance."""
+    """Pixels whose eight neighbors show the same instance."""
     padded = np.pad(ids, 1, mode="edge")
-    neighbours = [padded[1 + dy : padded.shape[0] - 1 + dy, 1 + dx : padded.shape[1] - 1 + dx]
+    neighbors = [padded[1 + dy : padded.shape[0] - 1 + dy, 1 + dx : padded.shape[1] - 1 + dx]
                   for dy in (-1, 0, 1) for dx in (-1, 0, 1)]  # fmt: skip
-    return np.all(np.stack(neighbours) == ids, axis=0)
+    return np.all(np.stack(neighbors) == ids, axis=0)
 
 
 def render(mesh: trimesh.Trimesh, cam_from_obj: NDArray[np.float64], camera: Camera = CAMERA) -> Rendering:

@@ -110,7 +110,7 @@ def test_no_ground_in_sight_is_farther_than_its_bound(preset: str) -> None:
     assert depth.max() <= bound
 
 
-def test_distances_in_metres_are_those_of_the_cameras_from_the_floor() -> None:
+def test_distances_in_meters_are_those_of_the_cameras_from_the_floor() -> None:
     camera, size, diameter = Camera(320, 240, 300.0, 300.0, 159.5, 119.5), BinSize(0.3, 0.2, 0.1), 0.08
     placed = at_distances(ViewpointConfig(max_tilt_degrees=20.0), camera, size, diameter, (0.45, 0.7))
     np.testing.assert_allclose(distance_range(placed, camera, size, diameter), (0.45, 0.7), rtol=1e-12)

@@ -158,10 +158,10 @@ def test_what_is_no_scenes_file_is_refused_in_one_sentence(built: Path, tmp_path
 def test_every_flipped_bit_and_every_cut_is_found(scenes: Path, tmp_path: Path) -> None:
     sound, path, rng = scenes.read_bytes(), tmp_path / "bad.h5", np.random.default_rng(1)
     for place in rng.integers(0, len(sound), 40):
-        spoilt = bytearray(sound)
-        spoilt[place] ^= 1 << int(rng.integers(8))
-        padding = spoilt[:512].rstrip(b"\0") == sound[:512].rstrip(b"\0") and place < 512
-        path.write_bytes(bytes(spoilt))
+        spoiled = bytearray(sound)
+        spoiled[place] ^= 1 << int(rng.integers(8))
+        padding = spoiled[:512].rstrip(b"\0") == sound[:512].rstrip(b"\0") and place < 512
+        path.write_bytes(bytes(spoiled))
         if not padding:
             with pytest.raises(InputError, match=r"bad\.h5"):
                 job_of_scenes(path)

@@ -17,12 +17,12 @@ def load(model: Path | str, device: str = "auto", refine: bool = False) -> Predi
     """A trained model, ready to predict::
 
         poses = posenet.load("model.pt").predict(depth, Camera.load("camera.json"))
-        poses.cam_from_obj  # (n, 4, 4) metres, best first: the object's mesh frame to OpenCV's camera axes
+        poses.cam_from_obj  # (n, 4, 4) meters, best first: the object's mesh frame to OpenCV's camera axes
         poses.score         # (n,) 0 to 1, descending
         poses.boxes         # (n, 4) x0, y0, x1, y1 in pixels, of the detection each comes from
         poses.detection     # (n,) number of that detection
 
-    `depth` is (height, width): axial z in metres, 0 or NaN where nothing returned. `model` is a model file or a run's
+    `depth` is (height, width): axial z in meters, 0 or NaN where nothing returned. `model` is a model file or a run's
     folder; with `refine` poses are fitted to the depth image and verified.
 
     Raises:

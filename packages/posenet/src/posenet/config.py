@@ -41,9 +41,9 @@ class NetworkConfig:
     depth: Literal["absolute", "relative"] = "relative"  # bins over camera distance, or about the region's median
     depth_margin: float = 0.75  # relative: half range in diameters; absolute: margin beyond the training set's depths
     orientation: Literal["allocentric", "egocentric"] = "allocentric"
-    interpolate: bool = True  # read a bin's neighbours for a value inside it
+    interpolate: bool = True  # read a bin's neighbors for a value inside it
     regress_rotation: bool = True  # a 6D rotation under the Sym loss, offered as one more hypothesis
-    offset: bool = True  # without: the box centre stands in for the projected centre
+    offset: bool = True  # without: the box center stands in for the projected center
     confidence: Literal["product", "learned"] = "learned"  # score of a hypothesis before registration
     registration: bool = True
     registration_blocks: int = 4
@@ -93,7 +93,7 @@ class TrainConfig:
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
     scoring_rate: float = (
-        1.75  # times the learning rate: what is learnt from few, detached hypotheses needs larger steps
+        1.75  # times the learning rate: what is learned from few, detached hypotheses needs larger steps
     )
     scoring_start: float = 0.25  # share of the run after which they do
     validation_share: float = 0.05  # of the scenes

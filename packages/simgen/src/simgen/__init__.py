@@ -1,1 +1,1 @@
-"""From a CAD mesh to labelled bin-picking depth images."""
+"""From a CAD mesh to labeled bin-picking depth images."""

@@ -12,7 +12,7 @@ WALL_LESS_REACH = 4.0  # of the bin's half side: as far as the ground that is dr
 
 @dataclass(frozen=True)
 class BinSize:
-    """Inner width (world x), depth (y) and height (z) of the open bin, in metres, and whether its walls are there.
+    """Inner width (world x), depth (y) and height (z) of the open bin, in meters, and whether its walls are there.
 
     Without walls, as if somebody had lifted them off the pile, instances may roll away, but no farther than `reach`.
     """
@@ -24,14 +24,14 @@ class BinSize:
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(side) and side > 0 for side in (self.width, self.depth, self.height)):
-            raise InputError(f"--bin {self}: each side must be a positive number of metres, as in 0.4x0.3x0.1.")
+            raise InputError(f"--bin {self}: each side must be a positive number of meters, as in 0.4x0.3x0.1.")
 
     def __str__(self) -> str:
         return f"{self.width:g}x{self.depth:g}x{self.height:g}"
 
     @property
     def reach(self) -> tuple[float, float]:
-        """How far along x and y, in metres, an instance's centre may come to rest from the middle."""
+        """How far along x and y, in meters, an instance's center may come to rest from the middle."""
         share = 0.5 if self.walls else 0.5 * WALL_LESS_REACH
         return share * self.width, share * self.depth
 
@@ -88,7 +88,7 @@ class PhysicsConfig:
     """How instances fall and when they count as at rest.
 
     The world is scaled until the object's diameter is `simulated_diameter`, and time with it, so that a screw and a
-    car door fall alike; all metres and seconds here are those of the scaled world.
+    car door fall alike; all meters and seconds here are those of the scaled world.
     """
 
     simulated_diameter: float = 0.1
@@ -103,7 +103,7 @@ class PhysicsConfig:
     linear_damping: float = 0.5  # share of the speed lost in a second
     angular_damping: float = 0.9
     quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
-    quiet_motion: float = 4e-4  # metres, of any instance's centre or ends of axes
+    quiet_motion: float = 4e-4  # meters, of any instance's center or ends of axes
     max_seconds: float = 8.0
     max_attempts: int = 50
 

@@ -15,14 +15,14 @@ from evalkit.atomic import atomic_path, write_json
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 
-DEPTH_UNIT = 1e-4  # metres a step of what is written; the farthest is 6.55 m
+DEPTH_UNIT = 1e-4  # meters a step of what is written; the farthest is 6.55 m
 HIGHEST = np.iinfo(np.uint16).max
 FAST_PNG = 1  # zlib's level; masks and depth gain little from more
 
 
 @dataclass(frozen=True)
 class DepthImage:
-    """A depth image by the id that gt.json knows it by; `read` gives it (height, width) in metres, 0 = no return."""
+    """A depth image by the id that gt.json knows it by; `read` gives it (height, width) in meters, 0 = no return."""
 
     id: str
     camera: Camera
@@ -85,6 +85,6 @@ def write_png(path: Path, values: NDArray[Any]) -> None:
 
 
 def between_clip_planes(raw: NDArray[Any], near: float, far: float) -> NDArray[np.float64]:
-    """Metres of 16-bit values that run linearly between two clipping planes; both ends mean no return."""
+    """Meters of 16-bit values that run linearly between two clipping planes; both ends mean no return."""
     depth = near + (far - near) * raw.astype(float) / HIGHEST
     return np.where((raw > 0) & (raw < HIGHEST), depth, 0.0)

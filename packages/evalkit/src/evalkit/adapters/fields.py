@@ -33,7 +33,7 @@ def numbers(document: Any, key: str, shape: tuple[int, ...], where: str) -> Arra
 
 
 def checked_poses(rotation: ArrayLike, translation: ArrayLike, place: Callable[[int], str]) -> Array:
-    """Rotations (n, 3, 3) and translations (n, 3) in metres to poses (n, 4, 4); `place` names a row in messages.
+    """Rotations (n, 3, 3) and translations (n, 3) in meters to poses (n, 4, 4); `place` names a row in messages.
 
     Raises:
         InputError: a number is not finite, a matrix is no rotation, or an object is farther than any bin.

@@ -1,7 +1,7 @@
 """The ICVL Bin-Picking dataset's files (Doumanoglou et al. 2016, scenario 2).
 
-``test/01`` holds, of image I, ``rgbI.png``, ``depthI.png`` (16 bits, millimetres, 0 = missing), ``camera_pose_I.txt``
-and ``coffee_cupK_I.txt`` for each instance K: camera from object, a 4x4 matrix as text, in metres and with OpenGL's
+``test/01`` holds, of image I, ``rgbI.png``, ``depthI.png`` (16 bits, millimeters, 0 = missing), ``camera_pose_I.txt``
+and ``coffee_cupK_I.txt`` for each instance K: camera from object, a 4x4 matrix as text, in meters and with OpenGL's
 axes (y up, z backwards). The poses are those of the models that come with the dataset. It publishes no visibility and
 no format of results; results are read from files of the same names and contents with a score below the matrix.
 """

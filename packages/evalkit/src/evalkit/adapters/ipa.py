@@ -1,11 +1,11 @@
 """The Fraunhofer IPA Bin-Picking dataset's files (Kleeberger et al. 2019).
 
 ``parameter.json`` describes the camera, ``gt/cycle_0000/011.csv`` the instances of one image: id (0 is the bin), class,
-x, y, z in metres, the rotation column by column, and last the visibility in the perspective image. The poses are
+x, y, z in meters, the rotation column by column, and last the visibility in the perspective image. The poses are
 camera from object with x to the left and y up. The image is a window, ``resolutionX`` by ``resolutionY``, of a square
 one of side ``resolution_big`` that spans ``perspectiveAngle`` degrees; the window starts ``pixelOffset_X_KoSyTopLeft``
 to the right and ``pixelOffset_Y_KoSyTopLeft`` down. Depth images, ``p_depth/cycle_0000/011_depth_uint16.png``, run
-linearly from ``clip_start`` to ``clip_end`` metres. The dataset publishes no format of results; results are read from
+linearly from ``clip_start`` to ``clip_end`` meters. The dataset publishes no format of results; results are read from
 files like these with a score in the last column.
 """
 
@@ -98,7 +98,7 @@ def depth_images(folder: Path) -> Iterator[DepthImage]:
     camera, document = read_camera(path), load_json(path)
     near, far = (float(numbers(document, key, (), str(path))) for key in ("clip_start", "clip_end"))
     if not 0 <= near < far:
-        raise InputError(f"{path}: the fields 'clip_start' and 'clip_end' must be metres, the first the smaller.")
+        raise InputError(f"{path}: the fields 'clip_start' and 'clip_end' must be meters, the first the smaller.")
     root = folder / "p_depth" if (folder / "p_depth").is_dir() else folder
     files = sorted(root.rglob(f"*{DEPTH_SUFFIX}"))
     if not files:
@@ -113,7 +113,7 @@ def _read_depth(path: Path, near: float, far: float) -> Array:
 
 
 def read_camera(path: Path) -> Camera:
-    """The camera that parameter.json describes, integer pixel = pixel centre.
+    """The camera that parameter.json describes, integer pixel = pixel center.
 
     Raises:
         InputError: a field is missing or makes no sense.

@@ -4,7 +4,7 @@ From the depth images: an instance's silhouette is that of its surface alone, th
 pixel of it is visible where no other annotated instance is nearer, the depth image has a return, and that return is
 not more than 15 mm nearer than the surface (Hodaň et al. 2016, "On evaluation of 6D object pose estimation", whose
 tolerance BOP took over). The surface is drawn as points, dense enough that few pixels are missed. As a pixel counts
-where the surface touches it and not only its centre, shares come out a little low: by 0.009 on 192 bunnies at 640 x
+where the surface touches it and not only its center, shares come out a little low: by 0.009 on 192 bunnies at 640 x
 480, by 0.03 at most.
 """
 
@@ -25,10 +25,10 @@ from evalkit.objects.model import ObjectModel, sample_surface, surface_moments
 
 Array = NDArray[np.float64]
 SYNTAX = "--visibility depth (estimated from the depth images), full (all of every instance) or FILE.json"
-TOLERANCE = 0.015  # metres
+TOLERANCE = 0.015  # meters
 POINTS_PER_PIXEL = 10
 MOST_POINTS = 1_000_000
-CLOSEST = 0.1  # metres
+CLOSEST = 0.1  # meters
 LARGEST_SIDE = 4000  # pixels of a silhouette; a larger one is too near the camera to be drawn
 
 
@@ -56,7 +56,7 @@ class Visibility:
     def of(
         self, image: str, model: ObjectModel, camera: Camera | None, cam_from_obj: Array, depth: Callable[[], Array]
     ) -> Array:
-        """Shares (n,) of the instances at poses (n, 4, 4); `depth` reads the image (height, width) in metres."""
+        """Shares (n,) of the instances at poses (n, 4, 4); `depth` reads the image (height, width) in meters."""
         if self.shares is not None:
             return numbers(self.shares, image, (len(cam_from_obj),), self.spec)
         if self.spec == "full" or len(cam_from_obj) == 0:
@@ -69,7 +69,7 @@ class Visibility:
 
 
 def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj: Array) -> Array:
-    """Visible shares (n,) of instances at poses (n, 4, 4) in a depth image (height, width) in metres, 0 = no return.
+    """Visible shares (n,) of instances at poses (n, 4, 4) in a depth image (height, width) in meters, 0 = no return.
 
     Raises:
         InputError: the model has no surface, the image is not of the camera's size, or an instance is at the camera.

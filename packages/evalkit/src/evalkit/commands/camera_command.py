@@ -14,12 +14,12 @@ from evalkit.geometry.camera_files import CameraFile, read_camera
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--at", "distance", type=click.FloatRange(min=0, min_open=True), help="Also what it sees there, metres.")
+@click.option("--at", "distance", type=click.FloatRange(min=0, min_open=True), help="Also what it sees there, meters.")
 @click.option("--rectified", is_flag=True, help="Of rectified images: a camera_info's projection matrix P.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the pinhole camera as our JSON.")
 @click.option("--json", "as_json", is_flag=True, help="Print the pinhole camera as our JSON, and nothing else.")
 def camera(file: Path, distance: float | None, rectified: bool, output: Path | None, as_json: bool) -> None:
-    """Print what is understood of a camera FILE: size, focal lengths, lens, field of view, millimetres a pixel.
+    """Print what is understood of a camera FILE: size, focal lengths, lens, field of view, millimeters a pixel.
 
     FILE may be of ours, BOP, ROS, OpenCV, RealSense, Open3D, Zivid, Kalibr, COLMAP or Siléane.
     """
@@ -42,7 +42,7 @@ def describe(file: Path, found: CameraFile, distance: float | None) -> str:
         f"camera         {file}",
         f"image          {camera.width} x {camera.height} pixels",
         f"focal lengths  fx {camera.fx:.6g}, fy {camera.fy:.6g} pixels",
-        f"centre         cx {camera.cx:.6g}, cy {camera.cy:.6g}, counted from the middle of the first pixel",
+        f"center         cx {camera.cx:.6g}, cy {camera.cy:.6g}, counted from the middle of the first pixel",
         f"lens           {_lens(found)}",
         f"field of view  {across:.1f} x {down:.1f} degrees",
     ]

@@ -9,7 +9,7 @@
     {"format", "frame", "object": name or {"name", "diameter"},
      "images": [{"id", "time_s", "hypotheses": [{"R", "t", "score"}]}]}
 
-The object's name is null where nobody stated one; it then matches any. R (3x3) and t (metres) are ``cam_from_obj``.
+The object's name is null where nobody stated one; it then matches any. R (3x3) and t (meters) are ``cam_from_obj``.
 "frame" is "camera" (the default) or "world"; "world" says that an adapter knew no camera and left the poses as they
 were published, ``world_from_obj``. Unknown fields are let pass.
 """
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 GT_FORMAT = "binpose-gt/1"
 PREDS_FORMAT = "binpose-preds/1"
 FRAMES = ("camera", "world")
-LARGEST = 1e9  # seconds or metres; the integers that JSON may hold are no floats beyond 1e308
+LARGEST = 1e9  # seconds or meters; the integers that JSON may hold are no floats beyond 1e308
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class GroundTruthImage:
     """The n instances of one image.
 
     Attributes:
-        cam_from_obj: (n, 4, 4), metres.
+        cam_from_obj: (n, 4, 4), meters.
         visibility: (n,) visible share of each silhouette, 0 to 1.
     """
 
@@ -71,7 +71,7 @@ class PredictionImage:
     """The n hypotheses on one image.
 
     Attributes:
-        cam_from_obj: (n, 4, 4), metres.
+        cam_from_obj: (n, 4, 4), meters.
         score: (n,) higher is surer, on any scale.
         time_s: seconds spent on the image, where known.
     """
@@ -251,7 +251,7 @@ def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
     if isinstance(reference, dict):
         diameter = reference.get("diameter", 1.0)
         if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter <= LARGEST:
-            raise InputError(f"{path}: object: the field 'diameter' must be a positive number of metres.")
+            raise InputError(f"{path}: object: the field 'diameter' must be a positive number of meters.")
         return reference
     return name or ""
 

@@ -14,7 +14,7 @@ from evalkit.geometry import poses
 Array = NDArray[np.float64]
 
 ROTATION_TOLERANCE = 5e-3  # published matrices are rounded to as few as three digits
-FARTHEST = 50.0  # metres; a bin-picking camera looks at nothing beyond, but millimetres read as metres lie there
+FARTHEST = 50.0  # meters; a bin-picking camera looks at nothing beyond, but millimeters read as meters lie there
 
 
 class Rows(NamedTuple):
@@ -38,7 +38,7 @@ def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
     """A list of ``{"R", "t", value_field}`` of anybody's to poses (n, 4, 4) and values (n,), checked like our own.
 
     Raises:
-        InputError: an entry lacks a field, or holds what is no rotation or no number of metres.
+        InputError: an entry lacks a field, or holds what is no rotation or no number of meters.
     """
     layout = Layout("", "list of poses", "entry", value_field)
     arrays = to_arrays(rows, layout) if isinstance(rows, list) else None
@@ -100,7 +100,7 @@ def checked_poses(places: Sequence[str], rows: Sequence[Rows], layout: Layout) -
         (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
         (np.isfinite(value), f"'{layout.value}' is not finite"),
         (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
-        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give metres, not millimetres"),
+        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give meters, not millimeters"),
     ]
     for holds, complaint in laws:
         if not holds.all():

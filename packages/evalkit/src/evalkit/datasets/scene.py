@@ -40,7 +40,7 @@ class View:
 
     camera: Camera
     depth_raw: NDArray[np.uint16]  # (height, width), 0 = no return
-    depth_unit: float  # metres per step of depth_raw
+    depth_unit: float  # meters per step of depth_raw
     instance_id: NDArray[np.uint16]  # (height, width)
     cam_from_world: NDArray[np.float64]  # (4, 4)
     instances: Instances
@@ -50,12 +50,12 @@ class View:
 
     @property
     def depth(self) -> NDArray[np.float32]:
-        """Axial depth in metres (height, width), 0 = no return."""
+        """Axial depth in meters (height, width), 0 = no return."""
         return self.depth_raw.astype(np.float32) * np.float32(self.depth_unit)
 
     @property
     def depth_ideal(self) -> NDArray[np.float32] | None:
-        """Axial depth in metres (height, width) without the sensor's errors, 0 = nothing there; None if not kept."""
+        """Axial depth in meters (height, width) without the sensor's errors, 0 = nothing there; None if not kept."""
         ideal = self.depth_ideal_raw
         return None if ideal is None else ideal.astype(np.float32) * np.float32(self.depth_unit)
 

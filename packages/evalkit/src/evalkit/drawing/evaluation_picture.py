@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
-from evalkit.drawing.overlays import BLUE, GREEN, GREY, RED, WHITE, Color, draw_poses
+from evalkit.drawing.overlays import BLUE, GRAY, GREEN, RED, WHITE, Color, draw_poses
 from evalkit.drawing.plots import INK, new_figure, save
 from evalkit.drawing.precision_recall_plot import draw_precision_recall
 from evalkit.errors import InputError
@@ -28,8 +28,8 @@ from evalkit.scoring.result import ImageOutcome, Result
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
-OUTCOME_COLORS = ((IGNORED, GREY), (FALSE, RED), (DUPLICATE, RED), (TRUE, GREEN))  # later ones are drawn on top
-LEGEND = (("ground truth, found", WHITE), ("missed", BLUE), ("true", GREEN), ("false", RED), ("ignored", GREY))
+OUTCOME_COLORS = ((IGNORED, GRAY), (FALSE, RED), (DUPLICATE, RED), (TRUE, GREEN))  # later ones are drawn on top
+LEGEND = (("ground truth, found", WHITE), ("missed", BLUE), ("true", GREEN), ("false", RED), ("ignored", GRAY))
 SHORTEST_SIDE = 480  # pixels; smaller depth images are enlarged
 WORDS_WIDTH = 68  # characters beside the images
 

@@ -15,8 +15,8 @@ from evalkit.objects.model import ObjectModel
 
 Image = NDArray[np.uint8]
 Color = tuple[int, int, int]
-GREEN, RED, BLUE, GREY, WHITE = (90, 230, 80), (60, 60, 255), (255, 150, 40), (165, 165, 165), (255, 255, 255)  # BGR
-NEAR = 1e-3  # metres; triangles that reach nearer are left out
+GREEN, RED, BLUE, GRAY, WHITE = (90, 230, 80), (60, 60, 255), (255, 150, 40), (165, 165, 165), (255, 255, 255)  # BGR
+NEAR = 1e-3  # meters; triangles that reach nearer are left out
 SUBPIXEL_BITS = 4
 FARTHEST_PIXEL = 1e6  # keeps fixed-point coordinates within 32 bits
 DARKEST, BRIGHTEST = 28.0, 150.0
@@ -32,7 +32,7 @@ def draw_poses(
     thickness: int = 1,
     canvas: Image | None = None,
 ) -> Image:
-    """Outlines of the object at poses (n, 4, 4) over a depth image (height, width) in metres, 0 = missing.
+    """Outlines of the object at poses (n, 4, 4) over a depth image (height, width) in meters, 0 = missing.
 
     Args:
         colors: BGR, one for all poses or one each.
@@ -56,7 +56,7 @@ def draw_poses(
 
 
 def shade(depth: ArrayLike, camera: Camera, scale: int = 1) -> Image:
-    """Depth (height, width) as a grey picture (scale height, scale width, 3): nearer and steeper-lit is brighter.
+    """Depth (height, width) as a gray picture (scale height, scale width, 3): nearer and steeper-lit is brighter.
 
     Missing depth is black.
     """
@@ -73,10 +73,10 @@ def shade(depth: ArrayLike, camera: Camera, scale: int = 1) -> Image:
     slope_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=camera.fx / 8) / smooth
     slope_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=camera.fy / 8) / smooth
     light = (1 + 0.5 * slope_x + 0.7 * slope_y) / np.sqrt(1.74 * (1 + slope_x**2 + slope_y**2))
-    grey = DARKEST + (BRIGHTEST - DARKEST) * (0.45 * nearness + 0.55 * np.clip(light, 0, 1))
-    grey = np.where(known, grey, 0).astype(np.uint8)
-    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    gray = DARKEST + (BRIGHTEST - DARKEST) * (0.45 * nearness + 0.55 * np.clip(light, 0, 1))
+    gray = np.where(known, gray, 0).astype(np.uint8)
+    gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR))
 
 
 def silhouette(model: ObjectModel, camera: Camera, cam_from_obj: ArrayLike) -> Image:

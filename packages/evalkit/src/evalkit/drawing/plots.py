@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE, FILL, INK, GREY = "#1f5fa8", "#1f5fa822", "#444444", "#9aa1a9"
+LINE, FILL, INK, GRAY = "#1f5fa8", "#1f5fa822", "#444444", "#9aa1a9"
 SUFFIXES = (".png", ".svg", ".pdf")
 
 

@@ -1,4 +1,4 @@
-"""The pinhole camera: OpenCV axes (x right, y down, z forward), integer pixel = pixel centre."""
+"""The pinhole camera: OpenCV axes (x right, y down, z forward), integer pixel = pixel center."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) in metres, camera frame, to pixels (..., 2)."""
+        """Points (..., 3) in meters, camera frame, to pixels (..., 2)."""
         points = np.asarray(points, float)
         x, y, z = np.moveaxis(points, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], -1)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> NDArray[np.float64]:
-        """Pixels (..., 2) and axial depth (...) in metres to points (..., 3) in the camera frame."""
+        """Pixels (..., 2) and axial depth (...) in meters to points (..., 3) in the camera frame."""
         pixels, z = np.asarray(pixels, float), np.asarray(depth, float)
         return np.stack([(pixels[..., 0] - self.cx) / self.fx * z, (pixels[..., 1] - self.cy) / self.fy * z, z], -1)
 
     def point_map(self, depth: ArrayLike) -> NDArray[np.float64]:
-        """A depth image (height, width) in metres to its points (height, width, 3); depth 0 gives (0, 0, 0)."""
+        """A depth image (height, width) in meters to its points (height, width, 3); depth 0 gives (0, 0, 0)."""
         v, u = np.mgrid[: self.height, : self.width]
         return self.unproject(np.stack([u, v], -1), depth)
 

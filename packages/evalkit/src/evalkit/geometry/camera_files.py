@@ -23,7 +23,7 @@ KNOWN_LENSES = (
 REALSENSE = {0: "none", 1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 4: "brown_conrady"}
 NEGLIGIBLE = 1e-9  # distortion coefficients and skew per focal length that are written out as good as zero
 SAME_PIXELS = 1e-3  # by which K and P differ when they are the same camera
-BOP_SCALES = (0.01, 10.0)  # millimetres a step; a depth_scale beyond is of another convention
+BOP_SCALES = (0.01, 10.0)  # millimeters a step; a depth_scale beyond is of another convention
 # COLMAP's parameters by camera model, in the order in which cameras.txt has them
 COLMAP = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -41,7 +41,7 @@ class CameraFile:
         camera: the pinhole camera. Images as taken are its images only where `lens` is None.
         lens: what distorts the images as taken; ``lens.rectify(depth, camera)`` makes them the pinhole camera's.
         remarks: sentences on what the file has beyond a pinhole camera, and which of its fields were followed.
-        depth_unit: metres a step of its depth images, where the file says so (BOP's depth_scale).
+        depth_unit: meters a step of its depth images, where the file says so (BOP's depth_scale).
     """
 
     camera: Camera
@@ -255,14 +255,14 @@ def _matrix_remarks(fields: Fields, source: str, rectified: bool, lens: Lens | N
 
 
 def _depth_unit(fields: Fields, where: str, remarks: list[str]) -> float | None:
-    """Metres a step by BOP's depth_scale, which counts millimetres."""
+    """Meters a step by BOP's depth_scale, which counts millimeters."""
     if "depthscale" not in fields:
         return None
     scale = number(fields, "depthscale", where)
     if BOP_SCALES[0] <= scale <= BOP_SCALES[1]:
         return scale * 1e-3
     remarks.append(
-        f"{where}: its depth_scale {scale:g} is not millimetres a step as BOP counts them, so it is left aside; say "
+        f"{where}: its depth_scale {scale:g} is not millimeters a step as BOP counts them, so it is left aside; say "
         "--depth-unit."
     )
     return None

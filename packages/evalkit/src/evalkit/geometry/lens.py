@@ -13,7 +13,7 @@ from evalkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows
-TILT = slice(12, 14)  # of the sensor (Scheimpflug); not modelled here
+TILT = slice(12, 14)  # of the sensor (Scheimpflug); not modeled here
 INVERSION_STEPS = 30
 RADII = 512  # at which it is checked that a larger angle lies farther out in the image
 
@@ -43,9 +43,7 @@ class Lens:
                 f"{len(self.coefficients)} distortion coefficients; OpenCV's models have {_listed(COEFFICIENTS)}."
             )
         if any(self.coefficients[TILT]):
-            raise InputError(
-                "a tilted sensor (tau) is not modelled; rectify the images with the camera's own software."
-            )
+            raise InputError("a tilted sensor (tau) is not modeled; rectify the images with the camera's own software.")
 
     def distort(self, points: Array) -> Array:
         """Ideal points (..., 2) at z = 1 to where they appear (..., 2); NaN where the model folds over itself."""

@@ -1,1 +1,1 @@
-"""From a mesh file to vertices and faces in metres."""
+"""From a mesh file to vertices and faces in meters."""

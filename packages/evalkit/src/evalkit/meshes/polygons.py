@@ -33,7 +33,7 @@ class Polygons(NamedTuple):
 def triangulate(vertices: NDArray[np.float64], polygons: Polygons) -> NDArray[np.int64]:
     """Triangles (F, 3) that cover simple polygons, convex or not, planar or nearly so, in the polygons' order.
 
-    Every corner stays a corner, the straight ones too, so that neighbours still meet edge to edge.
+    Every corner stays a corner, the straight ones too, so that neighbors still meet edge to edge.
 
     Raises:
         MeshFileError: a polygon names a vertex that is not there, or crosses itself.

@@ -20,7 +20,7 @@ SAMPLE_POINTS = 1000
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A rigid object in its own frame, in metres.
+    """A rigid object in its own frame, in meters.
 
     Attributes:
         name: empty where nobody named it.
@@ -50,7 +50,7 @@ class ObjectModel:
     def from_mesh(
         cls, name: str, vertices: ArrayLike, faces: ArrayLike, symmetry: Symmetry | None = None, **notes: Any
     ) -> ObjectModel:
-        """From a triangle mesh: vertices (V, 3) in metres, faces (F, 3).
+        """From a triangle mesh: vertices (V, 3) in meters, faces (F, 3).
 
         Raises:
             InputError: the mesh has no surface.
@@ -101,7 +101,7 @@ class ObjectModel:
         return np.asarray(turn.T @ self.lam @ turn)
 
     def representatives(self, cam_from_obj: ArrayLike) -> Array:
-        """Sym representatives of poses (..., 4, 4) -> (..., n, d), in metres; see :class:`Symmetry`."""
+        """Sym representatives of poses (..., 4, 4) -> (..., n, d), in meters; see :class:`Symmetry`."""
         cam_from_obj = np.asarray(cam_from_obj, float)
         return self.symmetry.representatives(cam_from_obj[..., :3, :3], self.centers(cam_from_obj), self.lam_in_obj)
 
@@ -140,7 +140,7 @@ class ObjectModel:
             raise InputError(f"{where}: 'inertial_from_obj' must hold a rotation.")
         diameter, threshold = (float(_numbers(document, key, (), where)) for key in ("diameter", "threshold"))
         if diameter <= 0 or threshold <= 0:
-            raise InputError(f"{where}: 'diameter' and 'threshold' must be positive metres.")
+            raise InputError(f"{where}: 'diameter' and 'threshold' must be positive meters.")
         points = None if document.get("points") is None else _numbers(document, "points", (-1, 3), where)
         notes = document.get("notes")
         return cls(
@@ -164,9 +164,9 @@ def surface_moments(vertices: ArrayLike, faces: ArrayLike) -> tuple[float, Array
     if not area > 0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
     centroid = np.einsum("f,fi->i", areas, corners.mean(1)) / area
-    centred = corners - centroid
-    sums = centred.sum(1)
-    second = np.einsum("f,fki,fkj->ij", areas, centred, centred) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    centered = corners - centroid
+    sums = centered.sum(1)
+    second = np.einsum("f,fki,fkj->ij", areas, centered, centered) + np.einsum("f,fi,fj->ij", areas, sums, sums)
     return area, centroid, second / (12.0 * area)
 
 

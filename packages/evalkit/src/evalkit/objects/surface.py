@@ -14,7 +14,7 @@ from evalkit.objects.model import sample_surface_with_normals, surface_moments
 
 Array = NDArray[np.float64]
 SAMPLES = 40_000
-NEIGHBOURS = 4
+NEIGHBORS = 4
 GRID_CELLS = 96
 ROUGHNESS_RADIUS = 0.06  # of the bounding radius: several faces of a fine mesh, and less than a feature
 PROBES = 400  # places where the roughness is looked at
@@ -25,10 +25,10 @@ class Surface:
     """A dense sample of a surface about its area centroid, in units of the bounding radius (half the diameter).
 
     Attributes:
-        radius: metres of that unit.
-        centroid: (3,) metres.
+        radius: meters of that unit.
+        centroid: (3,) meters.
         points, normals: (n, 3) each, uniform over the area; in random order, so that any slice is a sample too.
-        spacing: mean distance of neighbouring samples.
+        spacing: mean distance of neighboring samples.
     """
 
     radius: float
@@ -69,7 +69,7 @@ class Surface:
     def nearest(self, points: ArrayLike) -> tuple[Array, Array, Array]:
         """Distance (n,), signed distance to the nearest sample's plane (n,), and that plane's normal (n, 3)."""
         points = np.asarray(points, float)
-        _, index = self._tree.query(points, NEIGHBOURS)
+        _, index = self._tree.query(points, NEIGHBORS)
         offset = points[:, None] - self.points[index]
         along = np.einsum("nki,nki->nk", offset, self.normals[index])
         aside = np.sqrt(np.maximum((offset**2).sum(-1) - along**2, 0.0))

@@ -125,12 +125,12 @@ class Symmetry:
             return reference.copy()
         candidates = rotation[..., None, :, :] @ self.rotations
         if self.kind == "revolution":
-            candidates = self._spun_towards(candidates, reference[..., None, :, :])
+            candidates = self._spun_toward(candidates, reference[..., None, :, :])
         closeness = np.einsum("...nij,...ij->...n", candidates, reference)
         best = closeness.argmax(-1)[..., None, None, None]
         return np.take_along_axis(candidates, best, axis=-3)[..., 0, :, :]
 
-    def _spun_towards(self, rotation: Array, reference: Array) -> Array:
+    def _spun_toward(self, rotation: Array, reference: Array) -> Array:
         """rotation @ spin(angle), with the angle that brings it closest to `reference` (the trace's maximum)."""
         frame = self.obj_from_sym
         relative = frame.T @ np.swapaxes(rotation, -1, -2) @ reference @ frame

@@ -48,7 +48,7 @@ class DetectedSymmetry:
     """A symmetry and what speaks for it.
 
     Attributes:
-        residual: metres; 99 of 100 surface points land within it of the surface, once turned by the group.
+        residual: meters; 99 of 100 surface points land within it of the surface, once turned by the group.
         relative_residual: the same over the diameter.
         candidates: the best hypothesis of every name that was tried, by excess; empty for a symmetry of `none` given.
     """
@@ -70,7 +70,7 @@ class DetectedSymmetry:
 
 
 def detect_symmetry(vertices: ArrayLike, faces: ArrayLike) -> DetectedSymmetry:
-    """The largest proper symmetry group that the surface keeps to: vertices (V, 3) in metres, faces (F, 3)."""
+    """The largest proper symmetry group that the surface keeps to: vertices (V, 3) in meters, faces (F, 3)."""
     surface = Surface.from_mesh(vertices, faces)
     tried = _Search(surface).run()
     accepted = [candidate for candidate in tried if candidate.accepted]

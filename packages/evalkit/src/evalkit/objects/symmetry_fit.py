@@ -31,7 +31,7 @@ class SymmetryCandidate:
     """A hypothesis and its evidence: how far the turned surface is from itself.
 
     Attributes:
-        typical, worst: metres; 99 of 100 surface points are within `typical`, all but a handful within `worst`.
+        typical, worst: meters; 99 of 100 surface points are within `typical`, all but a handful within `worst`.
         typical_excess, worst_excess: how many times their tolerances these are.
     """
 
@@ -196,7 +196,7 @@ def _nearest_axes(symmetry: Symmetry) -> Array | None:
     if symmetry.kind == "revolution" or symmetry.name.startswith("cyclic"):
         near = along | (coordinate_frames[:, :, 2] @ symmetry.axis < -np.cos(SNAP_ANGLE))
     else:
-        same_group = symmetry.obj_from_sym @ Symmetry.parse(_normaliser(symmetry.name)).rotations
+        same_group = symmetry.obj_from_sym @ Symmetry.parse(_normalizer(symmetry.name)).rotations
         near = poses.rotation_angle(same_group[:, None], coordinate_frames).min(0) < SNAP_ANGLE
     if near.any():
         return coordinate_frames[np.where(near, plainness, -np.inf).argmax()]
@@ -205,7 +205,7 @@ def _nearest_axes(symmetry: Symmetry) -> Array | None:
     return None
 
 
-def _normaliser(name: str) -> str:
+def _normalizer(name: str) -> str:
     """The group of the turns of its frame that leave a finite group as it is."""
     kind, _, fold = name.partition(":")
     if name in ("tetrahedral", "dihedral:2"):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart
-from evalkit.drawing.plots import GREY, INK, LINE, tidy
+from evalkit.drawing.plots import GRAY, INK, LINE, tidy
 from evalkit.drawing.precision_recall_plot import draw_precision_recall, rule
 from evalkit.scoring.breakdown import CriterionAp, PoseErrors, VisibilityAp
 from evalkit.scoring.distances import CRITERIA
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GREEN, RED, PALE = "#2f9e44", "#d9413b", "#b9cfe8"
 SCORE_BINS, ERROR_BINS = 40, 40
-SMALLEST_ERROR = 1e-3  # degrees or millimetres; no camera tells less
+SMALLEST_ERROR = 1e-3  # degrees or millimeters; no camera tells less
 LARGEST_SCORE, LEAST_SCORE_SPAN = 1e15, 1e-9  # beyond and below which no axis can be drawn
 
 
@@ -52,7 +52,7 @@ def score_histogram(result: Result, score: float) -> Chart:
     counts = {name: np.histogram(shown[np.isin(outcome, kind)], edges)[0] for name, kind in kinds.items()}
 
     def draw(axes: Axes) -> None:
-        for (name, count), color in zip(counts.items(), (GREEN, GREY, RED), strict=True):
+        for (name, count), color in zip(counts.items(), (GREEN, GRAY, RED), strict=True):
             if count.any():
                 axes.stairs(count, edges, fill=True, color=color, alpha=0.25)
                 axes.stairs(count, edges, color=color, linewidth=1.6, label=f"{name} ({count.sum()})")

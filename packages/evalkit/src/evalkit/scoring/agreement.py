@@ -53,7 +53,7 @@ def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:
         away = _reach(far.cam_from_obj, model)
         raise InputError(
             f"{predictions.source}: image '{far.id}': the field 't' puts the object {away:g} m away where nothing in "
-            f"{truth.source} lies beyond {reach:g} m; give metres, not millimetres."
+            f"{truth.source} lies beyond {reach:g} m; give meters, not millimeters."
         )
 
 

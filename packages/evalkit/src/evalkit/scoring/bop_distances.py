@@ -29,7 +29,7 @@ BLOCK_NUMBERS = 4_000_000  # float64 numbers held at once: 32 MB
 
 
 class Mssd:
-    """MSSD in metres: max over points of ``|estimate x - truth g x|``, min over symmetries g."""
+    """MSSD in meters: max over points of ``|estimate x - truth g x|``, min over symmetries g."""
 
     def __init__(self, model: ObjectModel, limit: float = np.inf) -> None:
         """Distances above `limit` may come out as any value between `limit` and the true one."""

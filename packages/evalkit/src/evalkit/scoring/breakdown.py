@@ -59,7 +59,7 @@ class PoseErrors:
 
     Attributes:
         rotation: (n,) radians.
-        translation: (n,) metres, of the object's centroid.
+        translation: (n,) meters, of the object's centroid.
         right: (n,) whether the hypothesis counts as true.
         instances: to find; those without a hypothesis nearby are missing from the arrays.
     """

@@ -21,7 +21,7 @@ from evalkit.scoring.rules import Settings
 
 MIN_VISIBILITY = 0.1
 DIAMETERS = tuple(float(d) for d in np.round(np.arange(1, 11) * 0.05, 2))
-MILLIMETRES = tuple(float(mm) for mm in range(2, 21, 2))
+MILLIMETERS = tuple(float(mm) for mm in range(2, 21, 2))
 PIXELS = tuple(float(px) for px in range(5, 51, 5))
 UNITS = ("diameter", "mm")
 
@@ -48,8 +48,8 @@ class DetectionAp:
 
     @property
     def protocol(self) -> str:
-        unit, last = ("diameters", DIAMETERS[-1]) if self.unit == "diameter" else ("mm", MILLIMETRES[-1])
-        first = DIAMETERS[0] if self.unit == "diameter" else MILLIMETRES[0]
+        unit, last = ("diameters", DIAMETERS[-1]) if self.unit == "diameter" else ("mm", MILLIMETERS[-1])
+        first = DIAMETERS[0] if self.unit == "diameter" else MILLIMETERS[0]
         return (
             f"BOP 2024 detection: mean of COCO's AP (101 recalls, all images pooled) at MSSD thresholds {first:g} to "
             f"{last:g} {unit} and MSPD thresholds {PIXELS[0]:g} to {PIXELS[-1]:g} px of an image 640 px wide; "
@@ -78,7 +78,7 @@ def detection_ap(predictions: Predictions, truth: GroundTruth, unit: str = "diam
     if unit not in UNITS:
         raise InputError(f"unit '{unit}' is not known; use one of {', '.join(UNITS)}.")
     per_diameter = 0.1 / truth.object.threshold  # the threshold is 0.1 diameters
-    mssd = {d: d for d in DIAMETERS} if unit == "diameter" else {mm: mm / 1000 * per_diameter for mm in MILLIMETRES}
+    mssd = {d: d for d in DIAMETERS} if unit == "diameter" else {mm: mm / 1000 * per_diameter for mm in MILLIMETERS}
     return DetectionAp(
         unit=unit,
         mssd=_ladder(predictions, truth, "mssd", mssd),

@@ -37,7 +37,7 @@ class Distance(Protocol):
 class Sym:
     """The geometrically right distance of Brégier et al. 2017, eq. 6-9, modulo the object's proper symmetries.
 
-    The root mean square displacement of the surface's points, minimised over the symmetry group.
+    The root mean square displacement of the surface's points, minimized over the symmetry group.
     """
 
     slack = 0.0
@@ -139,7 +139,7 @@ class Criterion:
     in_pixels: bool = False
 
     def limit(self, threshold: float, model: ObjectModel) -> float:
-        """The threshold in metres (or pixels), from one in diameters (or pixels)."""
+        """The threshold in meters (or pixels), from one in diameters (or pixels)."""
         return threshold if self.in_pixels else threshold / THRESHOLD_RATIO * model.threshold
 
     def describe(self, threshold: float, model: ObjectModel) -> str:
@@ -178,7 +178,7 @@ def for_criterion(criterion: str, model: ObjectModel, toolbox: bool = False, lim
 
 
 def sym_distance(model: ObjectModel, pose_a: ArrayLike, pose_b: ArrayLike) -> Array:
-    """Sym distance in metres of poses (..., 4, 4) and (..., 4, 4), broadcast against each other."""
+    """Sym distance in meters of poses (..., 4, 4) and (..., 4, 4), broadcast against each other."""
     a, b = np.broadcast_arrays(np.asarray(pose_a, float), np.asarray(pose_b, float))
     return Sym(model)(a.reshape(-1, 4, 4), b.reshape(-1, 4, 4)).reshape(a.shape[:-2])
 

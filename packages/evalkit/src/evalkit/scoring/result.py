@@ -41,7 +41,7 @@ class Result:
 
     Attributes:
         rules: in words.
-        limit: the threshold in metres, for mspd in pixels.
+        limit: the threshold in meters, for mspd in pixels.
         image_ap: (S,) each image's own AP; NaN where it has none.
         missing_images: ids of images that the predictions lack.
         given: of each image, how many hypotheses the predictions have, max_results or not.

@@ -55,7 +55,7 @@ class Settings:
             raise InputError(f"max-results {self.max_results} must be 1 or more.")
 
     def limit(self, model: ObjectModel) -> float:
-        """The threshold in metres, for mspd in pixels."""
+        """The threshold in meters, for mspd in pixels."""
         return CRITERIA[self.criterion].limit(self.threshold, model)
 
     def describe(self, model: ObjectModel) -> str:

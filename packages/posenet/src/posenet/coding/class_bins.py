@@ -23,7 +23,7 @@ class Bins:
         return (self.high - self.low) / self.count
 
     def position(self, value: Tensor) -> Tensor:
-        """Values (...) to fractional bin positions (...): the centre of bin i is at i."""
+        """Values (...) to fractional bin positions (...): the center of bin i is at i."""
         position = (value - self.low) / self.width - 0.5
         return torch.remainder(position + 0.5, self.count) - 0.5 if self.circular else position
 
@@ -53,14 +53,14 @@ class Bins:
     def peaks(self, log_probabilities: Tensor, k: int, interpolate: bool) -> tuple[Tensor, Tensor]:
         """The k best modes: log-probabilities (..., count) to values (..., k) and log-masses (..., k), best first.
 
-        With `interpolate` a mode is a local maximum, its value the mean of it and its two neighbours, its mass theirs
+        With `interpolate` a mode is a local maximum, its value the mean of it and its two neighbors, its mass theirs
         together; without, a mode is a bin. Where there are fewer modes than k, mass is -inf.
         """
         k = min(k, self.count)
         if not interpolate:
             mass, index = log_probabilities.topk(k, dim=-1)
             return self.value(index.to(mass.dtype)), mass
-        left, right = self._neighbours(log_probabilities)
+        left, right = self._neighbors(log_probabilities)
         is_peak = (log_probabilities >= left) & (log_probabilities > right)
         mass3 = torch.logsumexp(torch.stack([left, log_probabilities, right]), 0)
         _, index = log_probabilities.masked_fill(~is_peak, -math.inf).topk(k, dim=-1)
@@ -69,7 +69,7 @@ class Bins:
         found = is_peak.gather(-1, index)
         return self.value(position), mass3.gather(-1, index).masked_fill(~found, -math.inf)
 
-    def _neighbours(self, values: Tensor) -> tuple[Tensor, Tensor]:
+    def _neighbors(self, values: Tensor) -> tuple[Tensor, Tensor]:
         left, right = values.roll(1, -1), values.roll(-1, -1)
         if not self.circular:
             left, right = left.clone(), right.clone()

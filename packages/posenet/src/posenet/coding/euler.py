@@ -3,7 +3,7 @@
 a is the in-plane angle, b in [0, pi] the tilt of the object's z axis away from the viewing ray, c the spin about the
 object's own z. At b = 0 (and pi) only a + c (a - c) is determined; a takes it all and c is 0.
 
-Allocentric rotations are relative to the ray through the object's centre, so that what a region shows depends on the
+Allocentric rotations are relative to the ray through the object's center, so that what a region shows depends on the
 rotation alone and not on where in the image the region lies.
 """
 

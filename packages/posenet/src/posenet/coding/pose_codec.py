@@ -1,4 +1,4 @@
-"""Between poses and what the heads predict: centre offset, depth bin, three angle bins.
+"""Between poses and what the heads predict: center offset, depth bin, three angle bins.
 
 Every question that the paper leaves open about labels is decided here:
 
@@ -10,7 +10,7 @@ Every question that the paper leaves open about labels is decided here:
   2 pi / (number of symmetries about z). So the 30 bins of c cover one period, and b ends at pi / 2 where the symmetry
   turns z upside down: equivalent poses have one label, and bins are as fine as the symmetry allows.
 * Depth is that of the centroid, in 140 bins over the training set's range (absolute) or about the median depth of the
-  region (relative). The offset runs from the region's centre to the centroid's projection, in units of its sides.
+  region (relative). The offset runs from the region's center to the centroid's projection, in units of its sides.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PoseLabels(NamedTuple):
     """Targets of n regions (the codec's units)."""
 
     offset: Tensor  # (n, 2) in sides of the region
-    depth: Tensor  # (n,) metres: of the centroid, absolute or relative to the region's median
+    depth: Tensor  # (n,) meters: of the centroid, absolute or relative to the region's median
     angles: Tensor  # (n, 3) radians: a, b, c
     rotation: Tensor  # (n, 3, 3) relative to the ray (or the camera), canonical object frame
 
@@ -45,7 +45,7 @@ class PoseCodec:
 
     model: ObjectModel
     config: NetworkConfig
-    depth_range: tuple[float, float]  # metres: centroid depths of the training set
+    depth_range: tuple[float, float]  # meters: centroid depths of the training set
 
     @property
     def obj_from_canonical(self) -> np.ndarray:
@@ -119,7 +119,7 @@ class PoseCodec:
         Args:
             cam_from_obj: (n, 4, 4) the pose of each region's instance.
             windows: (n, 4) x0, y0, x1, y1 of the regions, pixels.
-            reference_depth: (n,) median depth of each region, metres.
+            reference_depth: (n,) median depth of each region, meters.
             intrinsics: (n, 4) fx, fy, cx, cy.
         """
         rotation, center = self.canonical(cam_from_obj)
@@ -158,5 +158,5 @@ class PoseCodec:
 
 
 def window_centers(windows: Tensor) -> Tensor:
-    """Centres (..., 2), in pixel coordinates, of half-open windows (..., 4): integer u is a pixel's centre."""
+    """Centers (..., 2), in pixel coordinates, of half-open windows (..., 4): integer u is a pixel's center."""
     return (windows[..., :2] + windows[..., 2:]) / 2 - 0.5

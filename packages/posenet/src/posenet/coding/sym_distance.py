@@ -14,7 +14,7 @@ from evalkit.objects.symmetry import Symmetry
 
 
 class SymDistance(nn.Module):
-    """Distances in metres between poses given as rotations (..., 3, 3) and positions of the centroid (..., 3)."""
+    """Distances in meters between poses given as rotations (..., 3, 3) and positions of the centroid (..., 3)."""
 
     elements: Tensor
     axes: Tensor
@@ -32,7 +32,7 @@ class SymDistance(nn.Module):
         self.scale_squared = symmetry.revolution_scale(lam) ** 2
 
     def rotation_squared(self, rotation_a: Tensor, rotation_b: Tensor) -> Tensor:
-        """The rotational part of d^2, in square metres, for broadcastable rotations (..., 3, 3) -> (...)."""
+        """The rotational part of d^2, in square meters, for broadcastable rotations (..., 3, 3) -> (...)."""
         if self.kind == "sphere":
             return (rotation_a[..., 0, 0] - rotation_b[..., 0, 0]) * 0.0
         relative = rotation_a.transpose(-1, -2) @ rotation_b

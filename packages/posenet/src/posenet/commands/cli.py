@@ -61,14 +61,14 @@ def main() -> None:
 )
 @click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
 @click.option("--validation/--no-validation", default=True, help="Hold scenes out and keep the best model by their AP.")
-@click.option("--offset/--no-offset", default=None, help="Without: the box centre stands in for the centre.")
+@click.option("--offset/--no-offset", default=None, help="Without: the box center stands in for the center.")
 @click.option("--confidence", type=click.Choice(["product", "learned"]), help="Scores before registration.")
 @click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
 @click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
 @click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
 @click.option(
-    "--norm", type=click.Choice(["batch", "group"]), default=None, help="Layers that normalise; group for tiny batches."
+    "--norm", type=click.Choice(["batch", "group"]), default=None, help="Layers that normalize; group for tiny batches."
 )
 @click.option("--precision", type=click.Choice(["auto", "32", "bf16"]), default=None, help="Of the layers.")
 @click.option("--tasks", help=f"Heads that learn; the others' losses are off.  [default: {','.join(TASKS)}]")
@@ -149,7 +149,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     help="Of image files: ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
 )
 @click.option("--rectified", is_flag=True, help="The images were rectified: no lens, and P of a camera_info.")
-@click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Metres a step, e.g. 0.001.")
+@click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Meters a step, e.g. 0.001.")
 @click.option("--no-return", type=float, help="Stored value that means no return.  [default: saturated ones]")
 @click.option(
     "--depth-along", type=click.Choice(["axis", "ray"]), default="axis", show_default=True, help="What depth measures."
@@ -165,7 +165,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
 @click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the source.")
 @click.option("--no-registration", is_flag=True, help="Ablation: score = confidence.")
-@click.option("--no-offset", is_flag=True, help="Ablation: the box centre stands in for the centre.")
+@click.option("--no-offset", is_flag=True, help="Ablation: the box center stands in for the center.")
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 def predict(
@@ -235,7 +235,7 @@ def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
 def export(model: Path, out: Path) -> None:
     """Write MODEL as ONNX, for what runs without Python: trunk with detector, and the heads of the regions.
 
-    Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to centre, depth
+    Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to center, depth
     and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.models.onnx_export.
     Needs pip install 'binpose-posenet[export]'.
     """

@@ -54,7 +54,7 @@ class Detector(nn.Module, ABC):
     def losses(
         self, raw: Any, targets: list[Tensor], ignore: list[Tensor], draws: list[torch.Generator]
     ) -> dict[str, Mean]:
-        """Named losses whose sum is to be minimised; per image boxes (n, 4) to find and boxes (m, 4) to ignore.
+        """Named losses whose sum is to be minimized; per image boxes (n, 4) to find and boxes (m, 4) to ignore.
 
         What is left to chance in an image is drawn from its generator (on the CPU) among `draws`. Images without any
         instance are taken. Every parameter takes part, if only with a gradient of zero.

@@ -1,4 +1,4 @@
-"""A one-stage detector: a heatmap says which cells hold the centre of an instance's box, and each cell says which box.
+"""A one-stage detector: a heatmap says which cells hold the center of an instance's box, and each cell says which box.
 
 After CenterNet (Zhou et al. 2019, "Objects as Points"), with the box as distances to its sides as in FCOS (Tian
 et al. 2019).
@@ -15,20 +15,20 @@ from torch import Tensor, nn
 
 from posenet.detectors.base import DetectionLimits, Detections, Detector, thinned
 from posenet.layers.mean import Mean
-from posenet.layers.normalisation import build_normalisation
+from posenet.layers.normalization import build_normalization
 from posenet.layers.ops import clip_boxes
 
-PRIOR = 0.1  # probability of a centre that an untrained heatmap shows; RetinaNet's start, lest negatives swamp it
+PRIOR = 0.1  # probability of a center that an untrained heatmap shows; RetinaNet's start, lest negatives swamp it
 SPREAD = 0.1  # standard deviation of a target's bell, in sides of its box
 LEAST_SPREAD = 0.6  # and in cells at least
-REACH = 1  # cells around a centre that learn its box
+REACH = 1  # cells around a center that learn its box
 CANDIDATES = 4  # cells a detection that enter the suppression, at most
 
 
 class HeatmapOutputs(NamedTuple):
     """Raw outputs on the grid of the features, float32."""
 
-    logits: Tensor  # (B, h, w) of "a box's centre lies in this cell"
+    logits: Tensor  # (B, h, w) of "a box's center lies in this cell"
     boxes: Tensor  # (B, h, w, 4) pixels
     image_size: tuple[int, int]  # height, width
 
@@ -36,8 +36,8 @@ class HeatmapOutputs(NamedTuple):
 class CenterTargets(NamedTuple):
     """What one image's heatmap should show."""
 
-    bell: Tensor  # (h, w) 0..1, how near a centre is; ignored instances included
-    center: Tensor  # (h, w) bool, the cells that hold a centre
+    bell: Tensor  # (h, w) 0..1, how near a center is; ignored instances included
+    center: Tensor  # (h, w) bool, the cells that hold a center
     box: Tensor  # (h, w) index of the box that a cell learns
     learns_box: Tensor  # (h, w) bool
 
@@ -68,12 +68,12 @@ class HeatmapDetector(Detector):
         self.box_weight = box_weight
         self.shared = nn.Sequential(
             nn.Conv2d(channels, channels, 3, padding=1, bias=False),
-            build_normalisation(norm, channels),
+            build_normalization(norm, channels),
             nn.ReLU(inplace=True),
         )
         self.heatmap = nn.Conv2d(channels, 1, 1)
         self.distances = nn.Conv2d(channels, 4, 1)
-        self._initialise()
+        self._initialize()
 
     def forward(self, features: Tensor, image_size: tuple[int, int]) -> HeatmapOutputs:
         shared = self.shared(features)
@@ -104,7 +104,7 @@ class HeatmapDetector(Detector):
     def detect(self, raw: HeatmapOutputs, limits: DetectionLimits | None = None) -> list[Detections]:
         """The surest cells, thinned by the overlap of their boxes.
 
-        CenterNet keeps the local maxima of 3 x 3 cells instead. In a heap two visible boxes often have their centres in
+        CenterNet keeps the local maxima of 3 x 3 cells instead. In a heap two visible boxes often have their centers in
         adjacent cells though their overlap is small: in 64 images of bins of 10-20 bunnies, after 8 minutes of
         training, that lost 3.5 % of the instances at least 20 % visible and 0.8 % of those half visible; this lost
         0.9 % and none.
@@ -119,7 +119,7 @@ class HeatmapDetector(Detector):
         boxes = clip_boxes(boxes, *raw.image_size)
         return [thinned(*image, limits, most) for image in zip(boxes, scores, strict=True)]
 
-    def _initialise(self) -> None:
+    def _initialize(self) -> None:
         nn.init.kaiming_normal_(self.shared[0].weight, nonlinearity="relu")  # type: ignore[arg-type]
         for head in (self.heatmap, self.distances):
             nn.init.normal_(head.weight, std=0.01)
@@ -129,7 +129,7 @@ class HeatmapDetector(Detector):
 
 
 def cell_centers(height: int, width: int, stride: int, device: torch.device) -> Tensor:
-    """Where the cells' centres (height, width, 2) lie: x, y in pixels of the input image."""
+    """Where the cells' centers (height, width, 2) lie: x, y in pixels of the input image."""
     y, x = torch.meshgrid(
         torch.arange(height, device=device) + 0.5, torch.arange(width, device=device) + 0.5, indexing="ij"
     )
@@ -139,8 +139,8 @@ def cell_centers(height: int, width: int, stride: int, device: torch.device) -> 
 def center_targets(boxes: Tensor, ignored: Tensor, size: tuple[int, int] | torch.Size, stride: int) -> CenterTargets:
     """Targets of an image from its boxes (n, 4) and those to ignore (m, 4), on a grid of `size` (h, w).
 
-    A cell learns the box whose centre is nearest, of those within `REACH` cells. Where two boxes have their centre in
-    the same cell, the smaller is learnt: it is more likely the one in front.
+    A cell learns the box whose center is nearest, of those within `REACH` cells. Where two boxes have their center in
+    the same cell, the smaller is learned: it is more likely the one in front.
     """
     height, width = size
     everything = torch.cat([boxes, ignored])
@@ -158,7 +158,7 @@ def center_targets(boxes: Tensor, ignored: Tensor, size: tuple[int, int] | torch
 
 
 def _assigned(squared: Tensor, side: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """From squared distances (n, h, w) to the centres: which cells are centres, whose box a cell learns, whether."""
+    """From squared distances (n, h, w) to the centers: which cells are centers, whose box a cell learns, whether."""
     if len(squared) == 0:
         nothing = squared.new_zeros(squared.shape[1:])
         return nothing.bool(), nothing.long(), nothing.bool()
@@ -169,9 +169,9 @@ def _assigned(squared: Tensor, side: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def focal_loss(logits: Tensor, bell: Tensor, center: Tensor) -> Mean:
-    """Penalty-reduced pixelwise focal loss with alpha = 2, beta = 4 (CenterNet, eq. 1), of (..., h, w), a centre.
+    """Penalty-reduced pixelwise focal loss with alpha = 2, beta = 4 (CenterNet, eq. 1), of (..., h, w), a center.
 
-    An ignored instance lowers the penalty around its centre as any other does, without being a positive.
+    An ignored instance lowers the penalty around its center as any other does, without being a positive.
     """
     probability = logits.sigmoid()
     positive = (1 - probability).square() * F.logsigmoid(logits)

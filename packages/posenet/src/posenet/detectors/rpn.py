@@ -1,6 +1,6 @@
 """Faster R-CNN (Ren et al. 2015) for one class: a region proposal network, then a head that scores and refines.
 
-Boxes are learnt by L1, as the paper writes it, not smooth L1.
+Boxes are learned by L1, as the paper writes it, not smooth L1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from posenet.layers.ops import box_iou, clip_boxes, decode_boxes, encode_boxes, 
 
 POSITIVE, NEGATIVE, NEUTRAL = 1, 0, -1
 RPN_LIMITS = DetectionLimits(min_score=0.05, nms_iou=0.5, least=64)
-REFINEMENT_SCALE = (0.1, 0.1, 0.2, 0.2)  # Fast R-CNN's: refinements are small, so that they are learnt in these units
+REFINEMENT_SCALE = (0.1, 0.1, 0.2, 0.2)  # Fast R-CNN's: refinements are small, so that they are learned in these units
 
 
 class RpnOutputs(NamedTuple):
@@ -202,7 +202,7 @@ def anchor_shapes(sizes: tuple[float, ...], ratios: tuple[float, ...]) -> Tensor
 
 
 def anchors_at(centers: Tensor, shapes: Tensor) -> Tensor:
-    """Anchors (h * w * A, 4) of all shapes (A, 2) at each of the cells' centres (h, w, 2)."""
+    """Anchors (h * w * A, 4) of all shapes (A, 2) at each of the cells' centers (h, w, 2)."""
     low, high = centers[:, :, None] - shapes, centers[:, :, None] + shapes
     return torch.cat([low, high], -1).view(-1, 4)
 

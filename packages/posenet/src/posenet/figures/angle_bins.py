@@ -1,4 +1,4 @@
-"""What the three angles and their bins mean: the object as seen at the bins' centres."""
+"""What the three angles and their bins mean: the object as seen at the bins' centers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_COLUMNS = 10
 DEGREES = 180 / np.pi
 WORDS = (
     "R = Rz(a) · Ry(b) · Rz(c), from the object's canonical frame (z: its symmetry axis, where it has one) to the\n"
-    "frame of the ray through its centre.  c spins the object about its own z, b tilts that z away from the viewing\n"
+    "frame of the ray through its center.  c spins the object about its own z, b tilts that z away from the viewing\n"
     "ray, a turns the image in its plane.  So b and c say from where the object is seen, a how the camera is held."
 )
 

@@ -19,7 +19,7 @@ from posenet.network.hypotheses import Hypotheses
 from posenet.network.pose_heads import PoseOutputs
 from posenet.network.pose_network import PoseNetwork
 
-# Rank of a hypothesis in its detection to a colour, RGB; the colour-blind see the difference too (Wong 2011).
+# Rank of a hypothesis in its detection to a color, RGB; the color-blind see the difference too (Wong 2011).
 COLORS = ((0, 158, 115), (230, 159, 0), (86, 180, 233), (204, 121, 167), (240, 228, 66))
 SCALE = 4  # pictures are so much larger than the depth image
 
@@ -50,7 +50,7 @@ class LookedAt:
         return self.network.codec.cam_from_obj(shown.rotation, shown.center)
 
     def picture(self, groups: list[list[int]]) -> NDArray[np.uint8]:
-        """The depth image with hypotheses' contours (SCALE H, SCALE W, 3), RGB; colours by rank in each group."""
+        """The depth image with hypotheses' contours (SCALE H, SCALE W, 3), RGB; colors by rank in each group."""
         view, model = self.view, self.network.model
         canvas = shade(view.depth, view.camera, SCALE)
         for rows in groups:

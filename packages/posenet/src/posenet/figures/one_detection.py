@@ -37,7 +37,7 @@ def draw_hypotheses(looked: LookedAt) -> Figure:
     depth = looked.outputs.depth[row].softmax(-1).double().numpy()
     bins = looked.network.codec.depth_bins
     relative = looked.network.config.network.depth == "relative"
-    name = "depth of the centre " + ("behind the region's median (mm)" if relative else "(mm)")
+    name = "depth of the center " + ("behind the region's median (mm)" if relative else "(mm)")
     _draw_marginal(strips[3], bins, depth, looked.hypotheses.depth[rows].double().numpy(), name, 1e3)
     right.suptitle("probability of each bin (brighter: likelier); marks: the hypotheses", fontsize=10, color=INK)
     return figure

@@ -21,7 +21,7 @@ SIGNED = ("own score", "other's score", "dx", "dy", "dz")  # drawn about 0; the 
 WORDS = """Each matrix is one of the 13 numbers that
 the registration reads of every pair.
 Row: the hypothesis that listens.
-Column: the neighbour it hears.
+Column: the neighbor it hears.
 Lines part the detections; blank pairs
 do not overlap, so they do not talk.
 Scores are log-odds / 5, angles in [0, 1],
@@ -29,8 +29,8 @@ dx, dy, dz over the model box's diagonal."""
 
 
 def draw_relations(looked: LookedAt) -> Figure:
-    """The hypotheses of a few neighbouring detections, and a matrix for each feature."""
-    groups = _neighbouring_groups(looked)
+    """The hypotheses of a few neighboring detections, and a matrix for each feature."""
+    groups = _neighboring_groups(looked)
     rows = [row for group in groups for row in group]
     figure = new_figure(15.0, 6.2)
     left, right = figure.subfigures(1, 2, width_ratios=[1.0, 1.9], squeeze=False)[0]
@@ -45,7 +45,7 @@ def draw_relations(looked: LookedAt) -> Figure:
     return figure
 
 
-def _neighbouring_groups(looked: LookedAt) -> list[list[int]]:
+def _neighboring_groups(looked: LookedAt) -> list[list[int]]:
     """Hypotheses of the best detection and of those nearest to it, detection by detection."""
     hypotheses = looked.hypotheses
     first = int(looked.score.argmax())
@@ -55,14 +55,14 @@ def _neighbouring_groups(looked: LookedAt) -> list[list[int]]:
 
 
 def _matrices(looked: LookedAt, rows: list[int]) -> list[NDArray[np.float64]]:
-    """The features as (n, n) matrices, NaN for pairs that are no neighbours."""
+    """The features as (n, n) matrices, NaN for pairs that are no neighbors."""
     index = torch.tensor(rows)
     shown = looked.hypotheses.select(index)
     claims = HypothesisSet(looked.logit[index], shown.rotation, shown.center, looked.angles[index], shown.detection)
     relations: Relations = relation_features(claims, looked.network.model_box)
     matrices = np.full((len(RELATION_NAMES), len(rows), len(rows)), np.nan)
-    listener, neighbour = relations.pairs.numpy().T
-    matrices[:, listener, neighbour] = relations.features.numpy().T
+    listener, neighbor = relations.pairs.numpy().T
+    matrices[:, listener, neighbor] = relations.features.numpy().T
     return list(matrices)
 
 
@@ -97,7 +97,7 @@ def _draw_image(axes: Axes, looked: LookedAt, groups: list[list[int]]) -> None:
     axes.set_xlim(low[0] * SCALE, high[0] * SCALE)
     axes.set_ylim(high[1] * SCALE, low[1] * SCALE)
     count = sum(len(group) for group in groups)
-    title = f"image {looked.view.image_id}: {count} hypotheses of {len(groups)} neighbouring detections"
+    title = f"image {looked.view.image_id}: {count} hypotheses of {len(groups)} neighboring detections"
     axes.set_title(title, fontsize=10, color=INK)
     axes.set_xticks([])
     axes.set_yticks([])

@@ -159,7 +159,7 @@ def _roi_align(
     """
     batch, channels, height, width = features.shape
     boxes = rois[:, 1:].float() * spatial_scale
-    if not aligned:  # the old form also counts from the cells' centres and makes every region a cell wide at least
+    if not aligned:  # the old form also counts from the cells' centers and makes every region a cell wide at least
         boxes = torch.cat([boxes[:, :2], torch.maximum(boxes[:, 2:], boxes[:, :2] + 1)], -1) + 0.5
     column, column_weight = _axis_samples(boxes[:, 0], boxes[:, 2], size, sampling_ratio, width)
     row, row_weight = _axis_samples(boxes[:, 1], boxes[:, 3], size, sampling_ratio, height)

@@ -2,7 +2,7 @@
 
 ``model.onnx``, once an image::
 
-    depth (1, H, W) metres, 0 = no return, as model.json's camera sees it (of larger images the nearest pixels);
+    depth (1, H, W) meters, 0 = no return, as model.json's camera sees it (of larger images the nearest pixels);
     intrinsics (1, 4) fx, fy, cx, cy
     -> features (1, C, h, w), normals (1, 3, H, W), score (1, N) 0..1, box (1, N, 4) pixels x0, y0, x1, y1
 
@@ -10,7 +10,7 @@
 are dropped (`least_score` and `nms_iou` of model.json)::
 
     features, normals, depth, intrinsics as above; box (R, 4)
-    -> window (R, 4) pixels, reference_depth (R) metres, offset (R, 2), depth_logits (R, D), a_logits (R, A),
+    -> window (R, 4) pixels, reference_depth (R) meters, offset (R, 2), depth_logits (R, D), a_logits (R, A),
        b_logits (R, B), c_logits (R, C), rotation (R, 3, 3), refined_score (R), refined_box (R, 4)
 
 ``model.json`` says how to read them: image size and camera, bins, frames. Decoding, all in the camera's frame:
@@ -19,10 +19,10 @@ are dropped (`least_score` and `nms_iou` of model.json)::
     which looks twice; "heatmap" repeats the box and gives the score 1.
 2.  z = value of the best depth bin (+ reference_depth if bins are "relative"); value of bin i = low + (i + ½)·(high −
     low) / count. The better read is the mean of the bins i − 1, i, i + 1 by their softmax.
-3.  pixel = centre of the window − ½ + offset · its sides; centre = ((u − cx) z / fx, (v − cy) z / fy, z).
+3.  pixel = center of the window − ½ + offset · its sides; center = ((u − cx) z / fx, (v − cy) z / fy, z).
 4.  Rotation in the ray's frame: Rz(a)·Ry(b)·Rz(c) of the best bins, or `rotation` where "regressed"; R = ray · that,
-    where ray is the smallest rotation that turns (0, 0, 1) into the direction of the centre ("egocentric": identity).
-5.  cam_from_obj = [R, centre] · inverse(obj_from_canonical). The score is the detector's times the bins' softmax.
+    where ray is the smallest rotation that turns (0, 0, 1) into the direction of the center ("egocentric": identity).
+5.  cam_from_obj = [R, center] · inverse(obj_from_canonical). The score is the detector's times the bins' softmax.
 
 Confidence head, joint registration and refinement stay with PyTorch.
 """

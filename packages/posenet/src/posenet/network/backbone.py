@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from evalkit.errors import InputError
-from posenet.layers.normalisation import build_normalisation
+from posenet.layers.normalization import build_normalization
 
 VGG16_WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512)  # 0: halve by max-pooling
 
@@ -25,14 +25,14 @@ class Backbone(nn.Module):
         self.features = features
         self.stride = stride
         self.channels = channels
-        _initialise(self)
+        _initialize(self)
 
     def forward(self, images: Tensor) -> Tensor:
         return self.features(images)
 
 
 def build_backbone(name: str, in_channels: int, norm: str = "batch") -> Backbone:
-    """The trunk of that name: vgg16 (stride 16, which has no normalisation), vgg_small or vgg_debug (stride 8).
+    """The trunk of that name: vgg16 (stride 16, which has no normalization), vgg_small or vgg_debug (stride 8).
 
     Raises:
         InputError: there is no trunk of that name.
@@ -69,13 +69,13 @@ def thin_vgg(
     dilated: int = 2,
     norm: str = "batch",
 ) -> Backbone:
-    """VGG's pattern with a stride-2 stem, normalisation and dilated last layers; stride 8.
+    """VGG's pattern with a stride-2 stem, normalization and dilated last layers; stride 8.
 
     `blocks` are the layers at strides 2, 4 and 8 beside the stem; `dilated` more follow at stride 8, which widen the
     receptive field from 78 to 142 pixels: more than an object's size, so that one cell sees the whole of it.
     `norm` is 'batch' or, for tiny batches, 'group'.
     """
-    # An even kernel centres each output on the 2 x 2 pixels that it stands for; an odd one would shift the grid.
+    # An even kernel centers each output on the 2 x 2 pixels that it stands for; an odd one would shift the grid.
     layers = _convolution(in_channels, widths[0], norm, kernel=4, stride=2)
     channels = widths[0]
     for level, (count, width) in enumerate(zip(blocks, widths, strict=True)):
@@ -125,10 +125,10 @@ def _convolution(
     in_channels: int, width: int, norm: str, kernel: int = 3, stride: int = 1, dilation: int = 1
 ) -> list[nn.Module]:
     convolution = nn.Conv2d(in_channels, width, kernel, stride, padding=dilation, dilation=dilation, bias=False)
-    return [convolution, build_normalisation(norm, width), nn.ReLU(inplace=True)]
+    return [convolution, build_normalization(norm, width), nn.ReLU(inplace=True)]
 
 
-def _initialise(backbone: Backbone) -> None:
+def _initialize(backbone: Backbone) -> None:
     for module in backbone.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

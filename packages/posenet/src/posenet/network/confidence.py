@@ -1,4 +1,4 @@
-"""How likely a hypothesis is right, learnt from the network's own hits and misses."""
+"""How likely a hypothesis is right, learned from the network's own hits and misses."""
 
 from __future__ import annotations
 

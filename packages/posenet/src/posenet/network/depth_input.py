@@ -1,4 +1,4 @@
-"""From depth in metres to what the trunk sees, and to the raw crops of its regions."""
+"""From depth in meters to what the trunk sees, and to the raw crops of its regions."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ CROP_CHANNELS = 4  # relative depth, two normal components, has a return
 
 
 def surface_normals(depth: Tensor, intrinsics: Tensor) -> Tensor:
-    """Unit normals towards the camera (B, 3, H, W) from depth (B, H, W) in metres, 0 = no return.
+    """Unit normals toward the camera (B, 3, H, W) from depth (B, H, W) in meters, 0 = no return.
 
-    Central differences where both neighbours have a return, one-sided where one has, zero vectors elsewhere.
+    Central differences where both neighbors have a return, one-sided where one has, zero vectors elsewhere.
     """
     valid = depth > 0
     slope_u = _slope(depth, valid, 2)
@@ -76,7 +76,7 @@ def network_input(
 def resample(depth: Tensor, camera: Camera) -> Tensor:
     """Depth (H, W) on the pixel grid of `camera`, of the same view (see :meth:`Camera.sampled`).
 
-    Nearest, for the mean of two depths is the depth of nothing. What is computed of neighbours afterwards, normals say,
+    Nearest, for the mean of two depths is the depth of nothing. What is computed of neighbors afterwards, normals say,
     looks as far as the new pixels are wide, which on a noisy camera's depth is better than next door.
     """
     if depth.shape == (camera.height, camera.width):
@@ -137,7 +137,7 @@ def raw_crops(
     size: int,
     scale: float,
 ) -> Tensor:
-    """Crops (n, 4, size, size): depth relative to the region's median over `scale` metres, normal x and y, return."""
+    """Crops (n, 4, size, size): depth relative to the region's median over `scale` meters, normal x and y, return."""
     stacked = torch.cat([depth[:, None], normals[:, :2]], 1)
     crops = sample_nearest(stacked, windows, image_index, size)
     valid = (crops[:, :1] > 0).to(crops.dtype)

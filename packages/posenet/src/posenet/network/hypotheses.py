@@ -28,7 +28,7 @@ class Hypotheses(NamedTuple):
 
     detection: Tensor  # (H,) row of the detection
     rotation: Tensor  # (H, 3, 3)
-    center: Tensor  # (H, 3) metres
+    center: Tensor  # (H, 3) meters
     relative: Tensor  # (H, 3, 3) rotation in the ray frame
     offset: Tensor  # (H, 2)
     depth: Tensor  # (H,)
@@ -93,7 +93,7 @@ def _candidates(outputs: PoseOutputs, codec: PoseCodec) -> tuple[Tensor, Tensor,
 
 
 def _regressed_mass(rotation: Tensor, codec: PoseCodec, logs: list[Tensor]) -> Tensor:
-    """Log-product (n,) of the angle bins, with their neighbours, that regressed rotations (n, 3, 3) fall into."""
+    """Log-product (n,) of the angle bins, with their neighbors, that regressed rotations (n, 3, 3) fall into."""
     angles = euler.to_angles(codec.canonical_label(rotation))
     total = torch.zeros(len(rotation), device=rotation.device)
     for bins, log, angle in zip(codec.angle_bins, logs, angles, strict=True):

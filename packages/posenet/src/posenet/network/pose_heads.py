@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from posenet.coding import euler
 from posenet.config import NetworkConfig
-from posenet.layers.normalisation import build_normalisation
+from posenet.layers.normalization import build_normalization
 from posenet.network.depth_input import CROP_CHANNELS
 
 
@@ -37,7 +37,7 @@ class PoseOutputs(NamedTuple):
 class PoseHeads(nn.Module):
     """Two fully connected layers over the pooled features, then one linear layer a task (the paper's figure 2).
 
-    With `crop_size` a small convolutional branch adds the raw depth of the region, which keeps the millimetres that a
+    With `crop_size` a small convolutional branch adds the raw depth of the region, which keeps the millimeters that a
     trunk at stride 8 has pooled away.
     """
 
@@ -47,7 +47,7 @@ class PoseHeads(nn.Module):
         size = config.roi_size
         self.crop = CropBranch(config) if config.crop_size else None
         merged = channels + (self.crop.channels if self.crop else 0)
-        self.merge = nn.Sequential(*_normalised(merged, channels, config.norm)) if self.crop else nn.Identity()
+        self.merge = nn.Sequential(*_normalized(merged, channels, config.norm)) if self.crop else nn.Identity()
         width = config.fc_width
         self.trunk = nn.Sequential(
             nn.Flatten(),
@@ -62,7 +62,7 @@ class PoseHeads(nn.Module):
         self.depth = nn.Linear(width, config.depth_bins)
         self.angles = nn.ModuleList(nn.Linear(width, count) for count in angle_counts)
         self.rotation = nn.Linear(width, 6) if config.regress_rotation else None
-        self._initialise()
+        self._initialize()
 
     def forward(self, pooled: Tensor, crops: Tensor | None) -> PoseOutputs:
         """pooled (n, C, S, S) features and crops (n, 4, c, c), None without a crop branch."""
@@ -79,7 +79,7 @@ class PoseHeads(nn.Module):
             offset = offset * 0.0
         return PoseOutputs(offset, self.depth(features).float(), (a, b, c), rotation, features)
 
-    def _initialise(self) -> None:
+    def _initialize(self) -> None:
         for module in self.trunk:
             if isinstance(module, nn.Linear):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -105,7 +105,7 @@ class CropBranch(nn.Module):
                 layers.append(nn.MaxPool2d(2))
                 size //= 2
             for _ in range(config.crop_layers):
-                layers += _normalised(channels, width, config.norm)
+                layers += _normalized(channels, width, config.norm)
                 channels = width
         layers.append(nn.AdaptiveAvgPool2d(config.roi_size) if size != config.roi_size else nn.Identity())
         self.layers = nn.Sequential(*layers)
@@ -115,5 +115,5 @@ class CropBranch(nn.Module):
         return self.layers(crops)
 
 
-def _normalised(channels: int, width: int, norm: str) -> list[nn.Module]:
-    return [nn.Conv2d(channels, width, 3, padding=1, bias=False), build_normalisation(norm, width), nn.ReLU()]
+def _normalized(channels: int, width: int, norm: str) -> list[nn.Module]:
+    return [nn.Conv2d(channels, width, 3, padding=1, bias=False), build_normalization(norm, width), nn.ReLU()]

@@ -45,7 +45,7 @@ class PoseNetwork(nn.Module):
     """One network for one object. `forward` gives the training losses, `predict` the poses.
 
     Args:
-        config: all choices. model: the object. depth_range: nearest and farthest centroid of the training set, metres.
+        config: all choices. model: the object. depth_range: nearest and farthest centroid of the training set, meters.
         camera: of the training set; the anchors' size follows from it.
     """
 
@@ -83,7 +83,7 @@ class PoseNetwork(nn.Module):
         return (p for part in (self.backbone, self.detector, self.heads) for p in part.parameters())
 
     def scoring_parameters(self) -> Iterator[nn.Parameter]:
-        """What is trained on detached features, by an optimiser of its own."""
+        """What is trained on detached features, by an optimizer of its own."""
         parts = [part for part in (self.confidence, self.registration) if part is not None]
         return (p for part in parts for p in part.parameters())
 
@@ -110,7 +110,7 @@ class PoseNetwork(nn.Module):
 
     @torch.no_grad()
     def predict(self, depth: Tensor, intrinsics: Tensor, options: PredictOptions = AS_TRAINED) -> list[ImagePoses]:
-        """Poses for images (B, H, W) in metres with intrinsics (B, 4), in eval mode; one entry an image."""
+        """Poses for images (B, H, W) in meters with intrinsics (B, 4), in eval mode; one entry an image."""
         images = self.encode(depth, intrinsics)
         scored = (self.score(proposals, options) for proposals in self.propose(images, options))
         return [self.rank(image) for image in scored]
@@ -128,7 +128,7 @@ class PoseNetwork(nn.Module):
             self.bf16 = had
 
     def encode(self, depth: Tensor, intrinsics: Tensor) -> ImageFeatures:
-        """Images (B, H, W) in metres with intrinsics (B, 4) through the trunk; padded until its cells cover them."""
+        """Images (B, H, W) in meters with intrinsics (B, 4) through the trunk; padded until its cells cover them."""
         depth = depth_input.pad_to_multiple(depth, self.backbone.stride)
         normals = depth_input.surface_normals(depth, intrinsics)
         image = depth_input.network_input(
@@ -214,12 +214,12 @@ class PoseNetwork(nn.Module):
         if self.registration is not None and options.registration:
             angles = torch.stack(euler.to_angles(found.relative), -1)
             claims = HypothesisSet(confidence.detach(), found.rotation, found.center, angles, found.detection)
-            neighbours = self.config.network.registration_neighbours
-            registered = self.registration(relation_features(claims, self.model_box, neighbours))
+            neighbors = self.config.network.registration_neighbours
+            registered = self.registration(relation_features(claims, self.model_box, neighbors))
         return Scored(found, detections.boxes, confidence, registered)
 
     def final_logit(self, scored: Scored) -> Tensor:
-        """A learnt confidence and the registration are two opinions; the paper's product is no opinion on its own."""
+        """A learned confidence and the registration are two opinions; the paper's product is no opinion on its own."""
         if scored.registered is None:
             return scored.confidence
         both = (scored.confidence + scored.registered) / 2

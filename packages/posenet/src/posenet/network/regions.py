@@ -17,7 +17,7 @@ class Regions(NamedTuple):
     boxes: Tensor  # (R, 4) what the windows are about, such as a detector's boxes
     windows: Tensor  # (R, 4) half-open pixel boxes
     image_index: Tensor  # (R,)
-    reference_depth: Tensor  # (R,) metres
+    reference_depth: Tensor  # (R,) meters
     intrinsics: Tensor  # (R, 4)
     valid: Tensor  # (R,) bool
 
@@ -30,7 +30,7 @@ def make_regions(
 ) -> Regions:
     """Windows for boxes (R, 4) on images (B, H, W).
 
-    `box`: the box itself, as in Faster R-CNN. `metric`: a square about the box's centre whose side is `roi_scale`
+    `box`: the box itself, as in Faster R-CNN. `metric`: a square about the box's center whose side is `roi_scale`
     diameters at the box's median depth, so that an object has one size in it whatever its distance and occlusion.
     """
     reference = median_depth(depth, boxes, image_index)

@@ -1,7 +1,7 @@
-"""Joint registration: hypotheses are scored again in view of their neighbours, so that each instance is found once.
+"""Joint registration: hypotheses are scored again in view of their neighbors, so that each instance is found once.
 
 After GossipNet (Hosang, Benenson & Schiele, CVPR 2017, "Learning non-maximum suppression") with the relations of
-Sock et al. (BMVC 2018, section 3.3): a hypothesis hears from every neighbour, keeps the strongest of what it hears, and
+Sock et al. (BMVC 2018, section 3.3): a hypothesis hears from every neighbor, keeps the strongest of what it hears, and
 after a few such rounds says how sure it is to be the one for its instance. Everything here works on hypotheses that
 are constants: f_J learns on detached inputs.
 """
@@ -23,7 +23,7 @@ RELATION_NAMES = (
 )  # fmt: skip
 SCORE_UNIT = 5.0  # log-odds run over some -15 ... 10; networks like inputs of order one
 LOUDEST_BLOCKS = 4  # deeper networks start no louder than this many blocks do
-MAX_NEIGHBOURS = 128  # a bound on memory in a heap of thousands; an ordinary bin stays well below
+MAX_NEIGHBORS = 128  # a bound on memory in a heap of thousands; an ordinary bin stays well below
 LISTENERS_AT_ONCE = 1024
 
 
@@ -33,7 +33,7 @@ class HypothesisSet:
 
     scores: Tensor  # (n,) confidence as log-odds or as logarithm of a probability
     rotation: Tensor  # (n, 3, 3) cam_from_obj
-    center: Tensor  # (n, 3) metres: where the origin of the model box's frame lies in the camera's
+    center: Tensor  # (n, 3) meters: where the origin of the model box's frame lies in the camera's
     angles: Tensor  # (n, 3) a, b, c in radians
     detection: Tensor  # (n,) of which detection; hypotheses of one detection are siblings
 
@@ -46,7 +46,7 @@ class Relations:
     """Who hears whom among `count` hypotheses, and what is known of each pair."""
 
     count: int
-    pairs: Tensor  # (P, 2) listener and neighbour, sorted by listener; each is its own neighbour too
+    pairs: Tensor  # (P, 2) listener and neighbor, sorted by listener; each is its own neighbor too
     features: Tensor  # (P, 13), see RELATION_NAMES
 
     @classmethod
@@ -62,18 +62,18 @@ class Relations:
 @torch.no_grad()
 def relation_features(
     hypotheses: HypothesisSet,
-    model_box: Tensor,  # (2, 3) lowest and highest corner, object frame, metres
-    max_neighbours: int = MAX_NEIGHBOURS,
+    model_box: Tensor,  # (2, 3) lowest and highest corner, object frame, meters
+    max_neighbors: int = MAX_NEIGHBORS,
 ) -> Relations:
-    """The 13 numbers of each pair of neighbours (docs/network.md).
+    """The 13 numbers of each pair of neighbors (docs/network.md).
 
-    Neighbours are hypotheses whose 3D boxes overlap, siblings, and oneself; of more than `max_neighbours` those of
+    Neighbors are hypotheses whose 3D boxes overlap, siblings, and oneself; of more than `max_neighbors` those of
     largest overlap are kept. The 3D boxes are the axis-parallel ones, in the camera's frame, around the posed model
     box: their overlap is exact and cheap where that of oriented boxes is neither.
     """
     scores = hypotheses.scores.detach().float()
     boxes = posed_boxes(hypotheses.rotation, hypotheses.center, model_box)
-    pairs, overlap = _neighbouring_pairs(boxes, hypotheses.detection, scores, max_neighbours)
+    pairs, overlap = _neighboring_pairs(boxes, hypotheses.detection, scores, max_neighbors)
     own, other = pairs.unbind(1)
     angles = unit_angles(hypotheses.angles)
     diagonal = (model_box[1] - model_box[0]).norm().to(scores.dtype)
@@ -109,33 +109,33 @@ def unit_angles(angles: Tensor) -> Tensor:
     return torch.stack([a % 1.0, b.clamp(0, 1), c % 1.0], -1)
 
 
-def _neighbouring_pairs(
+def _neighboring_pairs(
     boxes: tuple[Tensor, Tensor], detection: Tensor, scores: Tensor, most: int
 ) -> tuple[Tensor, Tensor]:
     """Pairs (P, 2) sorted by listener, and the overlap (P,) of each; listeners in portions, for memory's sake."""
     pairs, overlap = [], []
     for listeners in torch.arange(len(scores), device=scores.device).split(LISTENERS_AT_ONCE):
         iou = box_iou_3d((boxes[0][listeners], boxes[1][listeners]), boxes)
-        row, neighbour = _neighbours(iou, listeners, detection, scores, most)
-        pairs.append(torch.stack([listeners[row], neighbour], 1))
-        overlap.append(iou[row, neighbour])
+        row, neighbor = _neighbors(iou, listeners, detection, scores, most)
+        pairs.append(torch.stack([listeners[row], neighbor], 1))
+        overlap.append(iou[row, neighbor])
     return torch.cat(pairs), torch.cat(overlap)
 
 
-def _neighbours(
+def _neighbors(
     overlap: Tensor, listeners: Tensor, detection: Tensor, scores: Tensor, most: int
 ) -> tuple[Tensor, Tensor]:
-    """Rows of `overlap` (k, n) and the neighbours of each, at most `most`: oneself, then siblings, then by overlap."""
+    """Rows of `overlap` (k, n) and the neighbors of each, at most `most`: oneself, then siblings, then by overlap."""
     closeness = overlap + (detection[listeners, None] == detection)
     closeness[torch.arange(len(listeners), device=overlap.device), listeners] = 3.0
     if closeness.shape[1] <= most:
-        row, neighbour = closeness.nonzero(as_tuple=True)
-        return row, neighbour
+        row, neighbor = closeness.nonzero(as_tuple=True)
+        return row, neighbor
     # Of equally close ones, such as copies of one pose, the most confident: the answer must not depend on the order.
     preference = torch.where(closeness > 0, closeness + 1e-4 * scores.sigmoid(), closeness)
-    best, neighbour = preference.topk(most, dim=1)
+    best, neighbor = preference.topk(most, dim=1)
     row, rank = (best > 0).nonzero(as_tuple=True)
-    return row, neighbour[row, rank]
+    return row, neighbor[row, rank]
 
 
 class JointRegistration(nn.Module):
@@ -178,7 +178,7 @@ class JointRegistration(nn.Module):
 
 
 class GossipBlock(nn.Module):
-    """One round: hear every neighbour, keep the strongest, digest, add to what one knew (Hosang et al., figure 4)."""
+    """One round: hear every neighbor, keep the strongest, digest, add to what one knew (Hosang et al., figure 4)."""
 
     def __init__(self, width: int, pair_width: int) -> None:
         super().__init__()
@@ -194,9 +194,9 @@ class GossipBlock(nn.Module):
 
     def forward(self, state: Tensor, relation: Tensor, pairs: Tensor, counts: Tensor) -> Tensor:
         """state (n, width), relation (P, pair_width), pairs (P, 2), pairs of each (n,) -> state (n, width)."""
-        listener, neighbour = pairs.unbind(1)
+        listener, neighbor = pairs.unbind(1)
         reduced = self.reduce(state)
-        heard = self.own(reduced)[listener] + self.other(reduced)[neighbour] + self.relation(relation)
+        heard = self.own(reduced)[listener] + self.other(reduced)[neighbor] + self.relation(relation)
         strongest = max_by_listener(self.message(F.relu(heard)), counts)
         return F.relu(state + self.tell(self.digest(strongest)))
 
@@ -244,7 +244,7 @@ def registration_targets(
 
 
 def registration_loss(logits: Tensor, labels: Tensor, weighting: Literal["paper", "balanced"] = "paper") -> Tensor:
-    """Weighted logistic loss: sum of a_i log(1 + exp(-y_i s_i)) over the sum of a_i; rows labelled 0 are left out.
+    """Weighted logistic loss: sum of a_i log(1 + exp(-y_i s_i)) over the sum of a_i; rows labeled 0 are left out.
 
     `paper` has a_i = 1 for +1 and 16 for -1, as written; `balanced` gives both labels the same weight in sum.
     """

@@ -15,7 +15,7 @@ class ImagePoses(NamedTuple):
     """What the network says about one image: H hypotheses, best first."""
 
     rotation: Tensor  # (H, 3, 3) canonical object frame
-    center: Tensor  # (H, 3) metres, centroid in the camera's frame
+    center: Tensor  # (H, 3) meters, centroid in the camera's frame
     score: Tensor  # (H,) in [0, 1]
     box: Tensor  # (H, 4) of the detection it comes from
     detection: Tensor  # (H,) number of that detection
@@ -24,9 +24,9 @@ class ImagePoses(NamedTuple):
 class ImageFeatures(NamedTuple):
     """B images and what the trunk makes of them."""
 
-    depth: Tensor  # (B, H, W) metres, 0 = no return
+    depth: Tensor  # (B, H, W) meters, 0 = no return
     intrinsics: Tensor  # (B, 4) fx, fy, cx, cy
-    normals: Tensor  # (B, 3, H, W) of the surface, towards the camera
+    normals: Tensor  # (B, 3, H, W) of the surface, toward the camera
     features: Tensor  # (B, C, h, w)
 
     @property

@@ -1,4 +1,4 @@
-"""From labelled frames to what one training step learns from."""
+"""From labeled frames to what one training step learns from."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from posenet.config import TrainConfig
 class Batch(NamedTuple):
     """B images of one size with their instances."""
 
-    depth: Tensor  # (B, H, W) metres, 0 = no return
+    depth: Tensor  # (B, H, W) meters, 0 = no return
     intrinsics: Tensor  # (B, 4) fx, fy, cx, cy
     poses: list[Tensor]  # B x (n, 4, 4) cam_from_obj
     boxes: list[Tensor]  # B x (n, 4) visible boxes

@@ -1,4 +1,4 @@
-"""What steps along the gradients: one optimiser for the multi-task network, one for what learns on its features."""
+"""What steps along the gradients: one optimizer for the multi-task network, one for what learns on its features."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An exponential moving average of a network's weights: often a little better than where the optimiser stands."""
+"""An exponential moving average of a network's weights: often a little better than where the optimizer stands."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ BETAS = (0.9, 0.95)
 EPSILON = 1e-8
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)  # of the quintic iteration; Jordan's, which aim at singular values near one
 ITERATIONS = 5
-LARGEST = 2**21  # entries; orthogonalising a larger matrix would take a CPU longer than the step itself
+LARGEST = 2**21  # entries; orthogonalizing a larger matrix would take a CPU longer than the step itself
 ADAM_SIZE = 0.2  # root mean square of AdamW's updates
 
 

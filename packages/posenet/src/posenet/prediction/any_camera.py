@@ -37,7 +37,7 @@ def without_nan(depth: NDArray[Any], camera: Camera, title: str) -> NDArray[np.f
             f"{camera.width} x {camera.height}; give the camera that took it."
         )
     if depth.dtype.kind not in "uif":
-        raise InputError(f"{title} holds values of type {depth.dtype}, and depth is metres.")
+        raise InputError(f"{title} holds values of type {depth.dtype}, and depth is meters.")
     depth, code = without_code(depth)
     if code is not None:
         log.info("%s: depths of %g count as no return.", title, code)
@@ -47,7 +47,7 @@ def without_nan(depth: NDArray[Any], camera: Camera, title: str) -> NDArray[np.f
 
 
 def distance(depth: NDArray[np.float32], network: PoseNetwork) -> float:
-    """How far away (metres) an image shows what may be the object."""
+    """How far away (meters) an image shows what may be the object."""
     return float(scene_depth(torch.from_numpy(depth)[None], network.depth_range, network.model.diameter))
 
 
@@ -65,7 +65,7 @@ def check_distance(depth: NDArray[np.float32], camera: Camera, network: PoseNetw
     if not LEAST_PIXELS <= size <= LARGEST_SHARE * side:
         raise InputError(
             f"{title}: at its depth of {median:.4g} m the object would be {size:.3g} pixels across in "
-            f"{camera.width} x {camera.height}; check the unit of the depths (--depth-unit 0.001 for millimetres) and "
+            f"{camera.width} x {camera.height}; check the unit of the depths (--depth-unit 0.001 for millimeters) and "
             "the camera's focal length."
         )
     bins = network.codec.depth_bins

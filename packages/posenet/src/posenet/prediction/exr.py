@@ -14,7 +14,7 @@ MEND = "write depth alone, or as the channel Z"
 
 
 def read_exr(path: Path) -> NDArray[Any]:
-    """The depth channel (height, width): the only one, one called Z, V, Y or depth, or grey in R, G and B.
+    """The depth channel (height, width): the only one, one called Z, V, Y or depth, or gray in R, G and B.
 
     Raises:
         InputError: OpenEXR is not installed, the file is damaged, or no channel is depth.

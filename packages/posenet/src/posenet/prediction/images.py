@@ -1,4 +1,4 @@
-"""Depth images from files: what users have on disk, as metres."""
+"""Depth images from files: what users have on disk, as meters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *point_cloud.SUFFIXES)
 KINDS = "a 16-bit PNG, a TIFF, NPY or EXR file, or an organized point cloud (PLY, PCD)"
 HIGHEST = 65535  # of a 16-bit image
-FARTHEST = 50.0  # metres; what is farther at the median is in another unit
+FARTHEST = 50.0  # meters; what is farther at the median is in another unit
 TURNS = (0, 90, 180, 270)
 
 
@@ -33,7 +33,7 @@ class Reading:
     """How depth files are to be read, where they do not say it themselves.
 
     Attributes:
-        depth_unit: metres a step of the file's values; None: metres in floating-point files, refused in others.
+        depth_unit: meters a step of the file's values; None: meters in floating-point files, refused in others.
         integer_unit: the same for whole numbers only, where the camera's file says it.
         no_return: the stored value that means "no return"; None recognizes saturated values.
         along_ray: depth is the distance from the camera along each pixel's ray, not along its axis.
@@ -49,7 +49,7 @@ class Reading:
     lens: Lens | None = None
 
     def image(self, path: Path, camera: Camera) -> NDArray[np.float32]:
-        """The image (height, width) as `camera` would have taken it: axial z in metres, 0 = no return.
+        """The image (height, width) as `camera` would have taken it: axial z in meters, 0 = no return.
 
         Raises:
             InputError: the file cannot be used, or is not of the camera's size.
@@ -58,7 +58,7 @@ class Reading:
             grid = point_cloud.read_grid(path, camera)
             if self.lens is None and self.turned == 0:
                 point_cloud.require_camera(grid, camera, path)
-            depth = _in_metres(np.nan_to_num(grid[..., 2]), self.depth_unit, path)
+            depth = _in_meters(np.nan_to_num(grid[..., 2]), self.depth_unit, path)
             return self._as_taken_by(camera, depth, path)
         depth = self._as_taken_by(camera, read_depth(path, self.depth_unit, self.no_return, self.integer_unit), path)
         return depth * _cosines(camera) if self.along_ray else depth
@@ -82,26 +82,26 @@ class Reading:
 def read_depth(
     path: Path | str, depth_unit: float | None, no_return: float | None = None, integer_unit: float | None = None
 ) -> NDArray[np.float32]:
-    """A depth image (height, width) in metres from a 16-bit PNG, a TIFF, an NPY or an EXR file; 0 = no return.
+    """A depth image (height, width) in meters from a 16-bit PNG, a TIFF, an NPY or an EXR file; 0 = no return.
 
-    `depth_unit` is the metres that one step of the file's values stands for; integer images need it, floating-point
-    ones are metres without it; `integer_unit` stands in for it with integers only. `no_return` is the stored value that
+    `depth_unit` is the meters that one step of the file's values stands for; integer images need it, floating-point
+    ones are meters without it; `integer_unit` stands in for it with integers only. `no_return` is the stored value that
     means "no return"; without it, saturated values are recognized, and that is logged.
 
     Raises:
         InputError: the file is missing, of another kind, has several channels, is an integer image without a unit, or
-            its numbers cannot be metres.
+            its numbers cannot be meters.
     """
     path = Path(path)
     values = _read_values(path)
     if values.dtype.kind != "f":
         depth_unit = integer_unit if depth_unit is None else depth_unit
     if depth_unit is None and values.dtype.kind != "f":
-        raise InputError(f"{path}: holds whole numbers; say what one step is in metres, e.g. --depth-unit 0.001.")
+        raise InputError(f"{path}: holds whole numbers; say what one step is in meters, e.g. --depth-unit 0.001.")
     values, code = without_code(values, no_return)
     if code is not None and no_return is None:
         _say_code(code, str(path.parent))
-    return _in_metres(values, depth_unit, path)
+    return _in_meters(values, depth_unit, path)
 
 
 @lru_cache(maxsize=256)  # once a folder
@@ -109,15 +109,15 @@ def _say_code(code: float, folder: str) -> None:
     log.info("%s: the value %g counts as no return; where it is none, say --no-return 0.", folder, code)
 
 
-def _in_metres(values: NDArray[Any], depth_unit: float | None, path: Path) -> NDArray[np.float32]:
-    """Stored values as metres, 0 where nothing returned."""
+def _in_meters(values: NDArray[Any], depth_unit: float | None, path: Path) -> NDArray[np.float32]:
+    """Stored values as meters, 0 where nothing returned."""
     with np.errstate(over="ignore", invalid="ignore"):
         depth = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.maximum(depth, 0.0) * np.float32(1.0 if depth_unit is None else depth_unit)
     median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
     if depth_unit is None and median > FARTHEST:
         raise InputError(
-            f"{path}: its depths ({median:.4g} at the median) cannot be metres; say the unit, for millimetres "
+            f"{path}: its depths ({median:.4g} at the median) cannot be meters; say the unit, for millimeters "
             "--depth-unit 0.001."
         )
     return depth
@@ -130,7 +130,7 @@ def _cosines(camera: Camera) -> NDArray[np.float32]:
 
 
 def read_clipped_depth(path: Path | str, clip: tuple[float, float]) -> NDArray[np.float32]:
-    """A 16-bit image (height, width) whose values run linearly between two depths, as metres: the Siléane coding.
+    """A 16-bit image (height, width) whose values run linearly between two depths, as meters: the Siléane coding.
 
     Both ends of the scale mean no return: what lies at or beyond a clipping plane was not seen.
 

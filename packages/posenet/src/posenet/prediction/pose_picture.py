@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
-from evalkit.drawing.overlays import GREEN, GREY, WHITE, Color, Image, draw_poses, shade
+from evalkit.drawing.overlays import GRAY, GREEN, WHITE, Color, Image, draw_poses, shade
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.prediction.predictor import PredictedPoses
@@ -24,7 +24,7 @@ def draw_predictions(
 ) -> Image:
     """Poses scored at least `least_score` over the shaded depth image, as (scale H, scale W, 3), BGR.
 
-    Contours from amber (the least score) to green (1), boxes of the detections grey, centres as crosses with the score
+    Contours from amber (the least score) to green (1), boxes of the detections gray, centers as crosses with the score
     beside them; higher scores are drawn over lower ones, and small images are enlarged by a whole number.
     """
     scale = enlargement(camera)
@@ -61,7 +61,7 @@ def _color(score: float, least_score: float) -> Color:
 
 def _draw_box(picture: Image, box: NDArray[np.float64]) -> None:
     x0, y0, x1, y1 = (round(float(edge)) for edge in box)
-    cv2.rectangle(picture, (x0, y0), (x1, y1), GREY, 1)
+    cv2.rectangle(picture, (x0, y0), (x1, y1), GRAY, 1)
 
 
 def _draw_score(picture: Image, center: NDArray[np.float64], score: float) -> None:

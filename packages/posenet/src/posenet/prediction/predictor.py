@@ -36,7 +36,7 @@ class PredictedPoses:
 
     cam_from_obj: NDArray[
         np.float64
-    ]  # (n, 4, 4) metres, from the mesh's own frame to the camera's (x right, z forward)
+    ]  # (n, 4, 4) meters, from the mesh's own frame to the camera's (x right, z forward)
     score: NDArray[np.float64]  # (n,) in [0, 1]
     boxes: NDArray[np.float64]  # (n, 4) x0, y0, x1, y1 of the detection each comes from, pixels
     detection: NDArray[np.int64]  # (n,) number of that detection: hypotheses of one detection have the same
@@ -83,13 +83,13 @@ class Predictor:
         return self.network.model
 
     def predict(self, depth: NDArray[Any], camera: Camera, mask: Mask | None = None) -> PredictedPoses:
-        """Poses in one depth image (height, width) of any number type: axial z in metres, 0 or NaN = no return.
+        """Poses in one depth image (height, width) of any number type: axial z in meters, 0 or NaN = no return.
 
         Any resolution and any pinhole camera will do: the image is resampled so that the object has its trained size.
         Of a `mask` (height, width) only what is True is looked at: the bin, without what stands around it.
 
         Raises:
-            InputError: the image does not fit the camera, its depths cannot be metres, or the mask fits no image.
+            InputError: the image does not fit the camera, its depths cannot be meters, or the mask fits no image.
         """
         return self.predict_batch([depth], camera, mask=mask)[0]
 

@@ -36,7 +36,7 @@ class DepthSource:
 
     names: list[str]
     cameras: list[Camera]  # one an image
-    read: Callable[[int], NDArray[np.float32]]  # number of an image -> (height, width) metres, 0 = no return
+    read: Callable[[int], NDArray[np.float32]]  # number of an image -> (height, width) meters, 0 = no return
     remarks: tuple[str, ...] = ()
     truth: str | None = None
 
@@ -64,7 +64,7 @@ def open_source(
 
     Args:
         camera_file: of image files; see :func:`evalkit.geometry.camera_files.read_camera`.
-        depth_unit: metres a step of image files.
+        depth_unit: meters a step of image files.
         reading: how image files are to be read otherwise.
         rectified: image files were rectified, so that the camera's lens does not matter.
         targets: of a BOP dataset, only the images that this test_targets_bop*.json lists.
@@ -225,7 +225,7 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _clip_planes(parameters: Path) -> tuple[float, float]:
-    """The depths (metres) that the lowest and the highest value of a Siléane depth image stand for."""
+    """The depths (meters) that the lowest and the highest value of a Siléane depth image stand for."""
     lines = (line.split() for line in parameters.read_text(encoding="utf-8", errors="replace").splitlines())
     fields = {words[0]: words[1] for words in lines if len(words) == 2}
     try:
@@ -234,6 +234,6 @@ def _clip_planes(parameters: Path) -> tuple[float, float]:
         near = far = 0.0
     if not 0 <= near < far < np.inf:
         raise InputError(
-            f"{parameters}: the lines 'clip_start' and 'clip_end' must hold metres, the first the smaller."
+            f"{parameters}: the lines 'clip_start' and 'clip_end' must hold meters, the first the smaller."
         )
     return near, far

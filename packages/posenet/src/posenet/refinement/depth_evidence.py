@@ -30,8 +30,8 @@ def depth_evidence(
     """Agreement and violation (n,), shares of the camera-facing surface, of poses (n, 4, 4).
 
     Args:
-        points, normals: (P, 3) of the model's surface. depth: (H, W) metres. observed: (H, W, 3) its normals, zero
-            where unknown. intrinsics: fx, fy, cx, cy. tolerance: metres by which depth may differ.
+        points, normals: (P, 3) of the model's surface. depth: (H, W) meters. observed: (H, W, 3) its normals, zero
+            where unknown. intrinsics: fx, fy, cx, cy. tolerance: meters by which depth may differ.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -78,7 +78,7 @@ def explained_before(
 
     A pose with more than ALREADY_EXPLAINED of it is a duplicate, which explains nothing to those after it. A point
     explains the pixels about it that are as deep as it is, however many they are: `spacing` is that of the points, in
-    metres.
+    meters.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

@@ -87,7 +87,7 @@ class Refiner:
         score: Array,
         detection: NDArray[np.int64] | None = None,
     ) -> RefinedPoses:
-        """Refine hypotheses (n, 4, 4) with scores (n,) in [0, 1] on a depth image (H, W) in metres.
+        """Refine hypotheses (n, 4, 4) with scores (n,) in [0, 1] on a depth image (H, W) in meters.
 
         At most one pose is kept of all hypotheses with the same number in `detection` (n,); without it, of each.
         """
@@ -168,7 +168,7 @@ def confidence(evidence: Array) -> Array:
 
 
 def observed_normals(depth: NDArray[np.float32], intrinsics: Array) -> NDArray[np.float32]:
-    """Normals (H, W, 3) towards the camera of a depth image (H, W)."""
+    """Normals (H, W, 3) toward the camera of a depth image (H, W)."""
     found = surface_normals(torch.from_numpy(depth)[None], torch.from_numpy(intrinsics).float()[None])
     return np.ascontiguousarray(found[0].permute(1, 2, 0).numpy())
 

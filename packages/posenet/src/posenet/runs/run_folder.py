@@ -4,7 +4,7 @@
 
     run.json        preset, options, seed, data and its hashes: a run is resumed only by the same command;
                     and how it was made: the command, the folder it was typed in, commit and versions
-    checkpoint.pt   last state: weights, optimisers, random state, progress
+    checkpoint.pt   last state: weights, optimizers, random state, progress
     model.pt        best model so far by validation AP (the last one without validation)
     last.pt         the model at the last validation, or at the end
     metrics.jsonl   one line a validation

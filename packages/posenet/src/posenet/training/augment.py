@@ -4,7 +4,7 @@ Not a model of one camera (that is simgen's `--sensor`, and belongs into the sha
 none of it to more than a bad stereo camera does: how strong the noise is, how far it reaches across pixels and how it
 grows with depth and slope; steps of disparity; which side of an edge has no return, and how far from it; holes on
 smooth surface; patches and single pixels at the depth of something beside them. A network that saw all of it reads the
-images of a camera that nobody modelled; poses stay as they are.
+images of a camera that nobody modeled; poses stay as they are.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 CLEAN = 0.25  # share of the images that stay as they are
 OCTAVES = 4  # noise at every pixel, every second, every fourth, every eighth
 HOLE_CELL = 5.0  # pixels across a hole, about
-EDGE_STEPS = (0.04, 0.15)  # diameters between neighbouring pixels that make an edge
+EDGE_STEPS = (0.04, 0.15)  # diameters between neighboring pixels that make an edge
 EDGE_REACH = (1.0, 5.0)  # pixels: what is lost beside edges falls by e in so many
 EDGE_LOSS = 0.8  # largest share lost right beside an edge
 SHADOW_LOSS = 1.0  # largest share lost of what the second eye does not see
@@ -53,10 +53,10 @@ def generator_of(seed: int, step: int, image: int) -> np.random.Generator:
 
 
 def degrade(depth: Image, bounds: Degradation, diameter: float, focal: float, rng: np.random.Generator) -> Image:
-    """One image (H, W) in metres, 0 = no return, as some other camera might have measured it.
+    """One image (H, W) in meters, 0 = no return, as some other camera might have measured it.
 
     Args:
-        diameter: of the object, metres. focal: focal length, pixels.
+        diameter: of the object, meters. focal: focal length, pixels.
     """
     seen = depth[::4, ::4]
     seen = seen[seen > 0]
@@ -184,7 +184,7 @@ def _edge_distance(depth, step):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _hidden_from(depth, eye):  # type: ignore[no-untyped-def]
-    """Where a second eye (`eye` = focal times its place along x, metres times pixels) sees something nearer (H, W)."""
+    """Where a second eye (`eye` = focal times its place along x, meters times pixels) sees something nearer (H, W)."""
     height, width = depth.shape
     out = np.zeros((height, width), np.bool_)
     side = np.float32(1.0) if eye > 0 else np.float32(-1.0)
@@ -216,7 +216,7 @@ def _put_patches(depth, middles, radii, away, out):  # type: ignore[no-untyped-d
 
 @_compiled
 def _let_fly(depth, pixels, share, out):  # type: ignore[no-untyped-def]
-    """Give pixels a depth between their own and that of the neighbour that differs most."""
+    """Give pixels a depth between their own and that of the neighbor that differs most."""
     height, width = depth.shape
     for i in range(len(pixels)):
         v, u = pixels[i] // width, pixels[i] % width

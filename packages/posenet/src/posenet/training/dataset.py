@@ -105,7 +105,7 @@ class Frames:
         return np.tile([self.camera.width / stored.width, self.camera.height / stored.height], 2)
 
     def depths(self, frames: NDArray[np.int64], min_visibility: float, most: int = 2000) -> NDArray[np.float64]:
-        """Depth in metres of the centroid of each instance that trains, in up to `most` of the frames.
+        """Depth in meters of the centroid of each instance that trains, in up to `most` of the frames.
 
         Raises:
             InputError: no instance is visible enough to train on.

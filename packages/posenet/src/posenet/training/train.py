@@ -38,7 +38,7 @@ def fit(options: FitOptions) -> RunFolder:
     """Train, or go on training; returns the run's folder, with the best model in it.
 
     Raises:
-        InputError: the shards, the options or the folder cannot be used, nothing is learnt, or the loss became NaN.
+        InputError: the shards, the options or the folder cannot be used, nothing is learned, or the loss became NaN.
         OSError: the folder cannot be written, or its disk is full.
         KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved.
     """

@@ -73,7 +73,7 @@ class Trainer:
 
         Raises:
             KeyboardInterrupt: Ctrl-C or SIGTERM, after the state was saved, and a model if there is none yet.
-            InputError: nothing is learnt, or the loss became NaN.
+            InputError: nothing is learned, or the loss became NaN.
         """
         if self.finished:
             minutes = self.budget.seconds / 60
@@ -254,7 +254,7 @@ class Trainer:
                 self.logger.experiment.add_image("validation/poses", picture, self.step, dataformats="HWC")
 
     def _judge(self, interruption: Interruption) -> None:
-        """Make haste when held-out AP no longer rises; stop, once, when nothing is learnt."""
+        """Make haste when held-out AP no longer rises; stop, once, when nothing is learned."""
         if self.config.schedule == "constant":
             return
         if self.budget.hurried_from is None and no_longer_rises(self.validations[self.judged_from :]):
@@ -267,7 +267,7 @@ class Trainer:
                 self.save()
             raise InputError(
                 f"{self.run.path}: {problem}, so it stops here instead of spending the rest of its time; look at the "
-                "shards with 'simgen preview' (are objects to be seen, is the depth in metres?), at curves.png in the "
+                "shards with 'simgen preview' (are objects to be seen, is the depth in meters?), at curves.png in the "
                 "run's folder, and try a lower --learning-rate; the same command again goes on regardless."
             )
 

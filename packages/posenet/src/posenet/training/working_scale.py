@@ -33,7 +33,7 @@ def choose_scale(
     """The scale at which an object at the working distance is about `wanted` pixels across, never above 1.
 
     Args:
-        camera: of the images as they are. diameter, distance: of the object and its median depth, in metres.
+        camera: of the images as they are. diameter, distance: of the object and its median depth, in meters.
         wanted: pixels; 0 leaves images as they are. asked: a user's own factor.
 
     Raises:

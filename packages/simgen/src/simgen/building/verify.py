@@ -51,7 +51,7 @@ class Report:
         verdict = f"{count} problem{'s' * (count > 1)}" if count else "all checksums and label laws hold"
         return (
             f"{self.shards} shards, {len(self.scenes)} scenes, {self.frames} frames, "
-            f"{len(visibility)} labelled instances{seen}: {verdict}"
+            f"{len(visibility)} labeled instances{seen}: {verdict}"
         )
 
 

@@ -17,7 +17,7 @@ from simgen.commands.options import (
     camera_options,
     configured,
     dask_option,
-    distances_in_metres,
+    distances_in_meters,
     like_option,
     object_options,
     pile_options,
@@ -54,7 +54,7 @@ def build_command(
     dask: str | None,
     **options: Any,
 ) -> None:
-    """Simulate piles of an object, render them, and write labelled depth images as shards.
+    """Simulate piles of an object, render them, and write labeled depth images as shards.
 
     Run the same command again to complete a folder that was interrupted. Options override the preset's values.
 
@@ -119,7 +119,7 @@ def simulate_command(
 def render_command(
     scenes: Path, output: Path, workers: int, shards: str | None, dask: str | None, **options: Any
 ) -> None:
-    """Render SCENES and write labelled depth images as shards. Needs no PyBullet.
+    """Render SCENES and write labeled depth images as shards. Needs no PyBullet.
 
     SCENES is a file of `simgen simulate`: without options the shards are, byte for byte, those of `simgen build`;
     options put others in place of what `simgen simulate` was given.
@@ -137,7 +137,7 @@ def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
     from simgen.scenes.plan import plan
 
     job = job_of_scenes(path)
-    distances = distances_in_metres(options["distance"])
+    distances = distances_in_meters(options["distance"])
     job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded, distances)
     _tell(job)
     return job
@@ -146,7 +146,7 @@ def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
 def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
     from simgen.scenes.layouts import job_of_layouts, nearest_and_farthest, with_options
 
-    if distances_in_metres(options["distance"]) is not None:
+    if distances_in_meters(options["distance"]) is not None:
         raise InputError(f"{folder}: says where its camera stands; leave out --distance.")
     job = job_of_layouts(folder)
     config = configured(job.config, **options)
@@ -168,7 +168,7 @@ def _planned(config: BuildConfig, chosen: ObjectChoice, options: dict[str, Any])
     prepared = prepare_object(**asdict(chosen))
     for warning in prepared.warnings:
         click.echo(f"Warning: {warning}", err=True)
-    job = plan(config, prepared.model, prepared.convex_parts, distances=distances_in_metres(options["distance"]))
+    job = plan(config, prepared.model, prepared.convex_parts, distances=distances_in_meters(options["distance"]))
     click.echo(prepared.summary)
     _tell(job)
     return job
@@ -193,7 +193,7 @@ def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, An
             f"--like {like}: with seed {config.seed} its scenes would be drawn again; give another --seed."
         )
     _require_renderer(config)
-    job = plan(config, known.model, known.convex_parts, distances=distances_in_metres(options["distance"]))
+    job = plan(config, known.model, known.convex_parts, distances=distances_in_meters(options["distance"]))
     _tell(job)
     return job
 

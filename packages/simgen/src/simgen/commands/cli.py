@@ -13,7 +13,7 @@ from simgen.commands.inspect_commands import object_command, preview_command, ve
 @click.group(cls=Commands)
 @click.version_option(package_name="binpose-simgen")
 def cli() -> None:
-    """From a CAD mesh to labelled bin-picking depth images."""
+    """From a CAD mesh to labeled bin-picking depth images."""
 
 
 cli.add_command(build_command)

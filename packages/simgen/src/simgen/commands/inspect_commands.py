@@ -31,7 +31,7 @@ MESH_SUFFIXES = (".ply", ".stl", ".obj")
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="Draw surface, axes and convex parts (.png), or write the mesh, in millimetres (.ply, .stl, .obj).",
+    help="Draw surface, axes and convex parts (.png), or write the mesh, in millimeters (.ply, .stl, .obj).",
 )
 def object_command(source: str, units: str, scale: float, symmetry: str, as_json: bool, output: Path | None) -> None:
     """Print what is understood of a mesh: units, size, soundness, symmetry, convex parts."""
@@ -45,7 +45,7 @@ def object_command(source: str, units: str, scale: float, symmetry: str, as_json
         click.echo(_as_text(document))
     if output is not None and output.suffix.lower() in MESH_SUFFIXES:
         _write_mesh(prepared, output)
-        click.echo(f"{output}: {prepared.model.name}'s mesh, in millimetres", err=True)
+        click.echo(f"{output}: {prepared.model.name}'s mesh, in millimeters", err=True)
         source = str(output)
     elif output is not None:
         from evalkit.drawing.plots import save
@@ -168,7 +168,7 @@ def _repair(shards: Path, workers: int) -> None:
 
 
 def describe_object(prepared: PreparedObject) -> dict[str, Any]:
-    """All that `simgen object` tells, as a document: lengths in millimetres, volumes in cubic centimetres."""
+    """All that `simgen object` tells, as a document: lengths in millimeters, volumes in cubic centimeters."""
     from simgen.objects.winding import signed_volume
 
     model, mesh, symmetry = prepared.model, prepared.mesh, prepared.symmetry

@@ -78,7 +78,7 @@ pile_options = _group(
     click.option("--scenes", type=int, help="Piles to simulate."),
     click.option("--instances", metavar="MIN-MAX", help="Instances a scene."),
     click.option("--seed", type=int),
-    click.option("--bin", "bin_text", metavar="auto|WxDxH", help="Inner size of the bin in metres."),
+    click.option("--bin", "bin_text", metavar="auto|WxDxH", help="Inner size of the bin in meters."),
     click.option("--bin-jitter", type=float, help="A scene's bin differs from the dataset's by up to this share."),
     click.option(
         "--walls", type=float, help="Share of the scenes whose bin has walls; in the others they are lifted off."
@@ -98,7 +98,7 @@ camera_options = _group(
     click.option(
         "--distance",
         metavar="MIN-MAX",
-        help="Metres from the bin's floor; as MIN-MAXx, multiples of that from which the bin fits.",
+        help="Meters from the bin's floor; as MIN-MAXx, multiples of that from which the bin fits.",
     ),
     click.option(
         "--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle."
@@ -144,8 +144,8 @@ def _workers(value: int | None) -> int:
     return len(os.sched_getaffinity(0)) if value is None else value
 
 
-def distances_in_metres(distance: str | None) -> tuple[float, float] | None:
-    """What --distance says in metres; None where it is not given, or says multiples (1-1.5x), which the config holds.
+def distances_in_meters(distance: str | None) -> tuple[float, float] | None:
+    """What --distance says in meters; None where it is not given, or says multiples (1-1.5x), which the config holds.
 
     Raises:
         InputError: it is no range of positive numbers.
@@ -154,7 +154,7 @@ def distances_in_metres(distance: str | None) -> tuple[float, float] | None:
         return None
     nearest, farthest = parse_range("--distance", distance)
     if nearest <= 0:
-        raise InputError(f"--distance {distance}: must be positive metres from the bin's floor, as in 0.4-0.6.")
+        raise InputError(f"--distance {distance}: must be positive meters from the bin's floor, as in 0.4-0.6.")
     return nearest, farthest
 
 

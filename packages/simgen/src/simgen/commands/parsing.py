@@ -49,7 +49,7 @@ def parse_shards(text: str, count: int) -> range:
 
 
 def parse_bin(text: str) -> BinSize | None:
-    """``auto`` (None) or ``WxDxH`` in metres.
+    """``auto`` (None) or ``WxDxH`` in meters.
 
     Raises:
         InputError: it is neither.
@@ -59,5 +59,5 @@ def parse_bin(text: str) -> BinSize | None:
     try:
         width, depth, height = (float(side) for side in text.lower().split("x"))
     except ValueError:
-        raise InputError(f"--bin {text}: give auto or the inner WxDxH in metres, as in 0.4x0.3x0.1.") from None
+        raise InputError(f"--bin {text}: give auto or the inner WxDxH in meters, as in 0.4x0.3x0.1.") from None
     return BinSize(width, depth, height)

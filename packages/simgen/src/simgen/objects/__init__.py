@@ -1,1 +1,1 @@
-"""From a mesh file, or a built-in name, to an object in metres: mending, units, convex parts."""
+"""From a mesh file, or a built-in name, to an object in meters: mending, units, convex parts."""

@@ -1,6 +1,6 @@
-"""Objects that need no file: known by name, in metres, z up.
+"""Objects that need no file: known by name, in meters, z up.
 
-The bunny comes out of PyBullet's wheel. The others are modelled here, one of each class of symmetry that bin picking
+The bunny comes out of PyBullet's wheel. The others are modeled here, one of each class of symmetry that bin picking
 knows: turned parts, a gear, and parts of blocks.
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from simgen.objects.mending import mend
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
-BUNNY_METRES_PER_UNIT = 0.05  # nose to tail 1.97 units in the file: a 10 cm bunny
+BUNNY_METERS_PER_UNIT = 0.05  # nose to tail 1.97 units in the file: a 10 cm bunny
 SECTIONS = 64  # around a turned part
 
 
 @dataclass(frozen=True)
 class BuiltinObject:
-    """A named object: `make` gives vertices (V, 3) in metres and faces (F, 3); `origin` says where they come from."""
+    """A named object: `make` gives vertices (V, 3) in meters and faces (F, 3); `origin` says where they come from."""
 
     make: Callable[[], Mesh]
     symmetry: str
@@ -35,7 +35,7 @@ def bunny() -> Mesh:
     """PyBullet's bunny.obj (902 faces), one round of Loop subdivision (3608), turned from y up to z up, 10 cm long."""
     mesh = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "bunny.obj", process=False)
     vertices, faces = trimesh.remesh.subdivide_loop(mesh.vertices, mesh.faces, iterations=1)
-    x, y, z = np.asarray(vertices, float).T * BUNNY_METRES_PER_UNIT
+    x, y, z = np.asarray(vertices, float).T * BUNNY_METERS_PER_UNIT
     return np.stack([x, -z, y], -1), np.asarray(faces, np.int64)
 
 
@@ -110,7 +110,7 @@ def bracket() -> Mesh:
 
 
 def _turned(profile_mm: Sequence[tuple[float, float]], swell: NDArray[np.float64] | None = None) -> Mesh:
-    """A closed profile of (radius, height) in millimetres swept around z; axis to axis, or around a bore.
+    """A closed profile of (radius, height) in millimeters swept around z; axis to axis, or around a bore.
 
     `swell` (profile points, sections) multiplies the radius by section, as teeth need.
     """
@@ -129,7 +129,7 @@ def _turned(profile_mm: Sequence[tuple[float, float]], swell: NDArray[np.float64
 
 
 def _blocks(x_mm: ArrayLike, y_mm: ArrayLike, z_mm: ArrayLike, filled: NDArray[np.bool_]) -> Mesh:
-    """The surface of the `filled` (nx, ny, nz) cells between the planes at x, y and z, in millimetres, centred."""
+    """The surface of the `filled` (nx, ny, nz) cells between the planes at x, y and z, in millimeters, centered."""
     planes = [np.asarray(p, float) * 1e-3 - np.ptp(np.asarray(p, float)) * 0.5e-3 for p in (x_mm, y_mm, z_mm)]
     shape = tuple(len(plane) for plane in planes)
     vertices = np.stack(np.meshgrid(*planes, indexing="ij"), -1).reshape(-1, 3)
@@ -138,7 +138,7 @@ def _blocks(x_mm: ArrayLike, y_mm: ArrayLike, z_mm: ArrayLike, filled: NDArray[n
 
 
 def _walls(filled: NDArray[np.bool_], axis: int, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Triangles (n, 3) between filled and empty neighbours along `axis`, seen counter-clockwise from the empty side."""
+    """Triangles (n, 3) between filled and empty neighbors along `axis`, seen counter-clockwise from the empty side."""
     padded = np.pad(filled.astype(int), [(1, 1) if i == axis else (0, 0) for i in range(3)])
     step = np.moveaxis(np.diff(padded, axis=axis), axis, 0)  # 1 where it gets filled along the axis, -1 where empty
     corners = np.moveaxis(np.arange(np.prod(shape)).reshape(shape), axis, 0)
@@ -156,11 +156,11 @@ def _cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Mesh:
 
 BUILTIN_OBJECTS: dict[str, BuiltinObject] = {
     "bunny": BuiltinObject(bunny, "none", "bunny.obj of pybullet_data, subdivided once, 10 cm long"),
-    "cup": BuiltinObject(cup, "revolution", "a coffee cup without a handle, 10 cm high, modelled here"),
-    "candlestick": BuiltinObject(candlestick, "revolution", "a candlestick, 13 cm high, modelled here"),
-    "pepper": BuiltinObject(pepper, "revolution", "a pepper mill, 14 cm high, modelled here"),
-    "gear": BuiltinObject(gear, "cyclic:16", "a spur gear with a hub, 9 cm across, modelled here"),
-    "brick": BuiltinObject(brick, "dihedral:2", "a slotted brick, 10 cm long, modelled here"),
-    "connector": BuiltinObject(connector, "cyclic:2", "a plug housing, 8 cm long, modelled here"),
-    "bracket": BuiltinObject(bracket, "none", "a notched angle bracket, 8 cm long, modelled here"),
+    "cup": BuiltinObject(cup, "revolution", "a coffee cup without a handle, 10 cm high, modeled here"),
+    "candlestick": BuiltinObject(candlestick, "revolution", "a candlestick, 13 cm high, modeled here"),
+    "pepper": BuiltinObject(pepper, "revolution", "a pepper mill, 14 cm high, modeled here"),
+    "gear": BuiltinObject(gear, "cyclic:16", "a spur gear with a hub, 9 cm across, modeled here"),
+    "brick": BuiltinObject(brick, "dihedral:2", "a slotted brick, 10 cm long, modeled here"),
+    "connector": BuiltinObject(connector, "cyclic:2", "a plug housing, 8 cm long, modeled here"),
+    "bracket": BuiltinObject(bracket, "none", "a notched angle bracket, 8 cm long, modeled here"),
 }

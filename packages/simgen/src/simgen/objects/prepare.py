@@ -1,4 +1,4 @@
-"""From a mesh file, or a built-in object's name, to an object in metres with symmetry and convex parts."""
+"""From a mesh file, or a built-in object's name, to an object in meters with symmetry and convex parts."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class PreparedObject:
     """An object and what was understood of its mesh.
 
     Attributes:
-        model: in metres, with symmetry and mesh; its `notes` hold source, sha256, units and scale.
-        convex_parts: (vertices (V, 3), faces (F, 3)) each, metres, object's frame.
+        model: in meters, with symmetry and mesh; its `notes` hold source, sha256, units and scale.
+        convex_parts: (vertices (V, 3), faces (F, 3)) each, meters, object's frame.
         warnings: sentences to print.
         units_reason: why the file's unit is taken to be what `model.notes` says.
-        mesh: the mended mesh, in metres, and its soundness.
+        mesh: the mended mesh, in meters, and its soundness.
         symmetry: what speaks for the model's symmetry.
     """
 
@@ -66,7 +66,7 @@ def describe(found: DetectedSymmetry) -> str:
 def prepare_object(
     source: str, units: str = "auto", scale: float = 1.0, symmetry: str = "auto", name: str | None = None
 ) -> PreparedObject:
-    """Read `source`, a mesh file or a built-in object's name, as an object in metres.
+    """Read `source`, a mesh file or a built-in object's name, as an object in meters.
 
     Args:
         units: auto, m, cm, mm or inch: the file's unit; a built-in object is in meters.

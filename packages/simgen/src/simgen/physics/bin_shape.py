@@ -16,7 +16,7 @@ GROUND = 4.0  # half-side of the ground around the bin, in longer sides
 
 
 def wall_boxes(size: BinSize, thickness: float) -> Array:
-    """The walls as axis-aligned boxes (4 or 0, 2, 3): smallest and largest corner, in metres."""
+    """The walls as axis-aligned boxes (4 or 0, 2, 3): smallest and largest corner, in meters."""
     if not size.walls:
         return np.zeros((0, 2, 3))
     x, y, z, t = size.width / 2, size.depth / 2, size.height, thickness
@@ -31,7 +31,7 @@ def wall_boxes(size: BinSize, thickness: float) -> Array:
 
 
 def ground_half_side(size: BinSize) -> float:
-    """Metres from the bin's middle to the edge of the ground it stands on."""
+    """Meters from the bin's middle to the edge of the ground it stands on."""
     return GROUND * max(size.width, size.depth)
 
 

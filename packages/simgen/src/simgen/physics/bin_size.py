@@ -22,7 +22,7 @@ DEFAULT_PILE = PileConfig()
 
 
 def fitting_bin(vertices: ArrayLike, diameter: float, instances: int, pile: PileConfig = DEFAULT_PILE) -> BinSize:
-    """The bin in which `instances` objects of that mesh (V, 3) and diameter, in metres, pile up `pile.layers` high.
+    """The bin in which `instances` objects of that mesh (V, 3) and diameter, in meters, pile up `pile.layers` high.
 
     What an object covers on average is a quarter of its convex hull's surface (Cauchy 1841). They also have room in
     the smallest of the scenes' bins.
@@ -74,12 +74,12 @@ def require_room(pile: PileConfig, size: BinSize, model: ObjectModel, instances:
     if min(smallest.width, smallest.depth) < model.diameter:
         raise InputError(
             f"--bin {size}{jitter}: the object '{model.title}' is {model.diameter:g} m across; "
-            "give a bin whose width and depth are larger, in metres, or --bin auto."
+            "give a bin whose width and depth are larger, in meters, or --bin auto."
         )
     if fill_level(model.mesh[0], smallest, instances) > MAX_FILL:
         raise InputError(
             f"--bin {size}{jitter}: {instances} instances of '{model.title}' do not fit into it; "
-            "give a larger --bin in metres or fewer --instances."
+            "give a larger --bin in meters or fewer --instances."
         )
 
 

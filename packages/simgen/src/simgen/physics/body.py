@@ -13,13 +13,13 @@ Part = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The object as physics wants it: hulls about its centre of mass, scaled.
+    """The object as physics wants it: hulls about its center of mass, scaled.
 
     Attributes:
-        hulls: (V_i, 3) vertices of each convex part, in simulated metres about the centre of mass.
-        center_of_mass: (3,) in the object's frame, metres.
-        radius: of the sphere around the centre of mass that holds all hulls, simulated metres.
-        scale: simulated metres per metre.
+        hulls: (V_i, 3) vertices of each convex part, in simulated meters about the center of mass.
+        center_of_mass: (3,) in the object's frame, meters.
+        radius: of the sphere around the center of mass that holds all hulls, simulated meters.
+        scale: simulated meters per meter.
     """
 
     hulls: list[Array]
@@ -29,7 +29,7 @@ class Body:
 
     @classmethod
     def from_parts(cls, parts: list[Part], simulated_diameter: float) -> Body:
-        """From convex parts (vertices (V, 3), faces (F, 3)) in metres, object frame."""
+        """From convex parts (vertices (V, 3), faces (F, 3)) in meters, object frame."""
         center = center_of_mass(parts)
         radius = max(float(np.linalg.norm(vertices - center, axis=1).max()) for vertices, _ in parts)
         scale = simulated_diameter / (2 * radius)

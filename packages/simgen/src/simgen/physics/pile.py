@@ -20,7 +20,7 @@ COUNT_STAGE, DROP_STAGE = 2, 0  # second word of the spawn key; viewpoints use a
 
 @dataclass(frozen=True, eq=False)
 class Pile:
-    """Instances at rest: `world_from_obj` (n, 4, 4) in metres, and how many draws it took."""
+    """Instances at rest: `world_from_obj` (n, 4, 4) in meters, and how many draws it took."""
 
     world_from_obj: Array
     attempts: int
@@ -71,7 +71,7 @@ def _start(rng: np.random.Generator, config: PileConfig) -> tuple[float, float]:
 
 
 def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size: BinSize) -> tuple[Array, Array]:
-    """Centres (n, 3) in columns over the bin, shifted against each other in height, and random rotations (n, 3, 3).
+    """Centers (n, 3) in columns over the bin, shifted against each other in height, and random rotations (n, 3, 3).
 
     Landing at different times saves the solver the crush of a whole layer at once.
     """

@@ -18,7 +18,7 @@ from simgen.physics.bullet import pybullet
 
 Array = NDArray[np.float64]
 LOOKS_PER_WINDOW = 5
-WALL_THICKNESS = 1.0  # in simulated metres, so that nothing tunnels
+WALL_THICKNESS = 1.0  # in simulated meters, so that nothing tunnels
 
 
 class World:
@@ -45,7 +45,7 @@ class World:
         pybullet.disconnect(physicsClientId=self._client)
 
     def drop(self, centers: Array, rotations: Array) -> None:
-        """Add instances with centres of mass (n, 3), simulated metres, and rotations (n, 3, 3)."""
+        """Add instances with centers of mass (n, 3), simulated meters, and rotations (n, 3, 3)."""
         shape = self._compound_of_hulls()
         for center, quaternion in zip(centers, _quaternions_xyzw(rotations), strict=True):
             self._instances.append(self._add_body(1.0, shape, center, quaternion))
@@ -97,7 +97,7 @@ class World:
             pybullet.stepSimulation(physicsClientId=self._client)
 
     def world_from_obj(self) -> Array:
-        """Poses (n, 4, 4) of the instances, in metres."""
+        """Poses (n, 4, 4) of the instances, in meters."""
         centers, rotations = self._state()
         origin = centers / self._body.scale - rotations @ self._body.center_of_mass
         return poses.from_rotation_translation(rotations, origin)
@@ -107,7 +107,7 @@ class World:
         return np.array([s[0] for s in states]), poses.from_quaternion_xyzw([s[1] for s in states])
 
     def _surface_marks(self) -> Array:
-        """Each instance's centre and the ends of its axes (n, 4, 3): they move as its surface does."""
+        """Each instance's center and the ends of its axes (n, 4, 3): they move as its surface does."""
         centers, rotations = self._state()
         ends = centers[:, None] + self._body.radius * np.swapaxes(rotations, -1, -2)
         return np.concatenate([centers[:, None], ends], 1)

@@ -27,7 +27,7 @@ Picture = NDArray[np.float64]  # RGB (SIDE, SIDE, 3) in 0…1
 
 
 def object_sheet(prepared: PreparedObject) -> Figure:
-    """Two rows of four views: the surface with axes, the convex parts in colours."""
+    """Two rows of four views: the surface with axes, the convex parts in colors."""
     model = prepared.model
     focal, middle = 0.92 * DISTANCE * SIDE, (SIDE - 1) / 2
     camera = Camera(SIDE, SIDE, focal, focal, middle, middle)
@@ -71,7 +71,7 @@ def _depth(camera: Camera, mesh: Part, cam_from_obj: NDArray[np.float64]) -> NDA
 
 
 def _draw_parts(camera: Camera, parts: list[Part], cam_from_obj: NDArray[np.float64]) -> Picture:
-    """Each part in its colour, lit like the surface."""
+    """Each part in its color, lit like the surface."""
     depths = np.stack([_depth(camera, part, cam_from_obj) for part in parts])
     depths[depths == 0] = np.inf
     nearest = depths.min(0)

@@ -47,7 +47,7 @@ function program(gl) {
   return made;
 }
 
-// Positions, colours (one each, or one for all), and perhaps indices, as something that can be drawn.
+// Positions, colors (one each, or one for all), and perhaps indices, as something that can be drawn.
 function shape(gl, mode, positions, colors, indices) {
   const array = gl.createVertexArray();
   gl.bindVertexArray(array);
@@ -137,7 +137,7 @@ function show(canvas) {
   const bin = shape(gl, gl.LINES, scene.bin ? binLines(scene.bin) : new Float32Array(0), null);
   const cameras = shape(gl, gl.LINES, frustumLines(views, scene.camera, 0.25 * radius), null);
   const unmoved = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
-  const eye = {width: 1, height: 1, fx: 1.4, fy: 1.4, cx: 0, cy: 0};  // pixel centres: the middle of a 1 x 1 image
+  const eye = {width: 1, height: 1, fx: 1.4, fy: 1.4, cx: 0, cy: 0};  // pixel centers: the middle of a 1 x 1 image
   const start = () => ({target: [...middle], distance: 2.8 * radius, around: -1.0, above: 0.75});
   const found = [...canvas.parentElement.querySelectorAll("[data-show]")];
   const controls = Object.fromEntries(found.map(control => [control.dataset.show, control]));

@@ -40,7 +40,7 @@ def scene_json(views: list[View], model: ObjectModel, bin_size: BinSize | None =
 
 
 def scene_document(views: list[View], model: ObjectModel, bin_size: BinSize | None = None) -> dict[str, Any]:
-    """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in metres.
+    """Arrays as base64 of little-endian float32 or uint32; matrices row by row; lengths in meters.
 
     The drawn mesh's frame is the object's, moved to the centroid: what looks for the heap looks at translations, and
     float32 has no digits to lose to a file's far origin.

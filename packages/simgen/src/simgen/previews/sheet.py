@@ -1,4 +1,4 @@
-"""A contact sheet of shards: depth in millimetres, instances with their visibility, outlines and axes."""
+"""A contact sheet of shards: depth in millimeters, instances with their visibility, outlines and axes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COLUMN_INCHES = 4.6
 
 
 def contact_sheet(dataset: ShardDataset, frames: Sequence[int]) -> Figure:
-    """One row for each of `frames`: depth with a colour bar, instances, outlines and axes."""
+    """One row for each of `frames`: depth with a color bar, instances, outlines and axes."""
     model, camera = dataset.header.object, dataset.header.camera
     row_inches = COLUMN_INCHES * camera.height / camera.width + 0.35
     figure = new_figure(3 * COLUMN_INCHES + 0.8, row_inches * len(frames) + 0.6)
@@ -76,11 +76,11 @@ def _draw_depth(axes: Axes, view: View) -> None:
 
 
 def _draw_instances(axes: Axes, view: View) -> None:
-    grey = shade(view.depth, view.camera)[..., ::-1] / 255.0
+    gray = shade(view.depth, view.camera)[..., ::-1] / 255.0
     palette = instance_colors(int(view.instances.instance.max(initial=0)) + 1)
     inside = view.instance_id > 0
-    picture = grey.copy()
-    picture[inside] = 0.75 * palette[view.instance_id[inside] - 1] + 0.25 * grey[inside]
+    picture = gray.copy()
+    picture[inside] = 0.75 * palette[view.instance_id[inside] - 1] + 0.25 * gray[inside]
     axes.imshow(picture)
     for instance, visibility, box in zip(
         view.instances.instance, view.instances.visibility, view.instances.box_visible, strict=True
@@ -128,7 +128,7 @@ def draw_axes(picture: Image, camera: Camera, model: ObjectModel, cam_from_obj: 
 
 
 def instance_colors(count: int) -> NDArray[np.float64]:
-    """RGB colours (count, 3) in 0…1; neighbours in number are far apart in hue (golden angle)."""
+    """RGB colors (count, 3) in 0…1; neighbors in number are far apart in hue (golden angle)."""
     number = np.arange(count)
     hue = (0.08 + number * 0.618034) % 1.0
     return np.asarray(hsv_to_rgb(np.stack([hue, 0.75 - 0.3 * (number % 2), np.ones(count)], -1)))

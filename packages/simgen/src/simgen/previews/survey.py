@@ -27,7 +27,7 @@ class Survey:
         clear: (frames,) instances at least half visible.
         directions: (V, 3) of visible instances: unit vectors from the centroid to the camera, in the object's frame.
         axis_from_up: (K,) radians between the object's main axis and the world's z.
-        depth_edges: (S + 1,) metres; `on_instances` and `elsewhere` (S,) are pixels, `no_return` a share of all pixels.
+        depth_edges: (S + 1,) meters; `on_instances` and `elsewhere` (S,) are pixels, `no_return` a share of all pixels.
     """
 
     visibility: Array

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart
-from evalkit.drawing.plots import GREY, INK, LINE, tidy
+from evalkit.drawing.plots import GRAY, INK, LINE, tidy
 from simgen.previews.survey import CLEAR, Survey
 
 VISIBILITY_BINS, ANGLE_BINS = 20, 18
@@ -50,7 +50,7 @@ def instances(found: Survey) -> Chart:
     fallen, clear = (np.histogram(counts, edges)[0] for counts in (found.instances, found.clear))
 
     def draw(axes: Axes) -> None:
-        for counts, color, label in ((fallen, GREY, "in the scene"), (clear, LINE, "at least half visible, a frame")):
+        for counts, color, label in ((fallen, GRAY, "in the scene"), (clear, LINE, "at least half visible, a frame")):
             axes.stairs(counts / max(counts.sum(), 1), edges, fill=True, color=color, alpha=0.3)
             axes.stairs(counts / max(counts.sum(), 1), edges, color=color, linewidth=1.6, label=label)
         axes.set(xlabel="instances", ylabel="share of scenes, of frames")
@@ -74,7 +74,7 @@ def depth(found: Survey) -> Chart:
 
     def draw(axes: Axes) -> None:
         for counts, color, label in (
-            (found.elsewhere, GREY, "bin and ground"),
+            (found.elsewhere, GRAY, "bin and ground"),
             (found.on_instances, LINE, "instances"),
         ):
             axes.stairs(counts, edges, fill=True, color=color, alpha=0.3)

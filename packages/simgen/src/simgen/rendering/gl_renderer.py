@@ -1,7 +1,7 @@
 """Depth images by OpenGL, through pyrender: what `rasterizer.py` draws, on whatever OpenGL there is.
 
-pyrender takes four samples a pixel and reads the depth of one of them, (0.125, 0.375) px off the pixel's centre; here
-it takes one, at the centre.
+pyrender takes four samples a pixel and reads the depth of one of them, (0.125, 0.375) px off the pixel's center; here
+it takes one, at the center.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 MARGIN = 1e-3  # between the mesh and the clipping planes, as a share of the depth
-MOST_RANGE = 200.0  # far over near plane at most, or 24 bits of depth could not tell a tenth of a millimetre
+MOST_RANGE = 200.0  # far over near plane at most, or 24 bits of depth could not tell a tenth of a millimeter
 
 
 class GlRenderer:
@@ -50,7 +50,7 @@ class GlRenderer:
             self.set_background(*background)
 
     def set_background(self, vertices: Array, faces: NDArray[np.int32]) -> None:
-        """Put another background, vertices (B, 3) in metres, world frame, behind all instances from now on."""
+        """Put another background, vertices (B, 3) in meters, world frame, behind all instances from now on."""
         self._background_vertices, self._background = vertices, _mesh_of(vertices, faces)
 
     def render(self, cam_from_obj: Array, cam_from_world: Array) -> Rendering:
@@ -110,7 +110,7 @@ class _DepthBuffer:
         self._pyrender, self._offscreen = pyrender, _offscreen(width, height)
 
     def mesh(self, mesh: Any, cam_from_mesh: Array, camera: Camera, planes: tuple[float, float]) -> NDArray[np.float32]:
-        """Axial metres (height, width), 0 where there is nothing, between the near and far `planes`."""
+        """Axial meters (height, width), 0 where there is nothing, between the near and far `planes`."""
         pyrender = self._pyrender
         near, far = planes
         scene = pyrender.Scene()

@@ -1,4 +1,4 @@
-"""What a frame shows of each instance: visibility, boxes, centre."""
+"""What a frame shows of each instance: visibility, boxes, center."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from evalkit.objects.model import ObjectModel
 from simgen.rendering.rasterizer import Rendering
 
 
-def quantised(depth: NDArray[np.float32], depth_unit: float) -> NDArray[np.uint16]:
-    """Axial metres (H, W) to steps of `depth_unit`; 0, no return, for what is beyond the 16 bits."""
+def quantized(depth: NDArray[np.float32], depth_unit: float) -> NDArray[np.uint16]:
+    """Axial meters (H, W) to steps of `depth_unit`; 0, no return, for what is beyond the 16 bits."""
     steps = np.rint(depth * np.float32(1 / depth_unit))
     steps[steps > np.iinfo(np.uint16).max] = 0
     return steps.astype(np.uint16)

@@ -3,8 +3,8 @@
 Because an instance is alone in its window, its whole silhouette is counted on the way, the part that others hide and
 the part beyond the frame included; that is what visibility needs, at no second rendering.
 
-Pixels are sampled at their centres. Vertices are snapped to 1/4096 pixel and edges tested in integers with the top-left
-rule, so that neighbouring triangles neither leave a gap nor share a pixel. Depth is that of the triangle's plane on
+Pixels are sampled at their centers. Vertices are snapped to 1/4096 pixel and edges tested in integers with the top-left
+rule, so that neighboring triangles neither leave a gap nor share a pixel. Depth is that of the triangle's plane on
 the pixel's ray: 1/z is affine in the image.
 """
 
@@ -31,7 +31,7 @@ class Rendering:
     """What one camera sees.
 
     Attributes:
-        depth: (height, width) axial metres, 0 where there is nothing.
+        depth: (height, width) axial meters, 0 where there is nothing.
         instance_id: (height, width) row of the instance + 1, 0 for background and nothing.
         pixels_full: (n,) pixels of each instance's whole silhouette.
         box_full: (n, 4) its x0, y0, x1, y1; zeros if it has no pixel.
@@ -48,8 +48,8 @@ class Rasterizer:
 
     Args:
         camera: the intrinsics.
-        vertices, faces: (V, 3) in metres, object frame, and (F, 3).
-        background: vertices (B, 3) in metres, world frame, and faces (G, 3), drawn with id 0; nothing if left out.
+        vertices, faces: (V, 3) in meters, object frame, and (F, 3).
+        background: vertices (B, 3) in meters, world frame, and faces (G, 3), drawn with id 0; nothing if left out.
     """
 
     def __init__(

@@ -149,7 +149,7 @@ def _narrowed(first, last, start, value, step):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _edge(ax, ay, bx, by, u, v):  # type: ignore[no-untyped-def]
-    """Twice the area of a, b and the centre of pixel (u, v); a pixel on the edge belongs to top and left edges only."""
+    """Twice the area of a, b and the center of pixel (u, v); a pixel on the edge belongs to top and left edges only."""
     value = np.int64(bx - ax) * ((v << BITS) - ay) - np.int64(by - ay) * ((u << BITS) - ax)
     return value if by < ay or (by == ay and bx > ax) else value - 1
 

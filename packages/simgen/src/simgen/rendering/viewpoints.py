@@ -43,7 +43,7 @@ def max_tilt(config: ViewpointConfig, camera: Camera, size: BinSize) -> float:
 
 
 def distance_range(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> tuple[float, float]:
-    """Nearest and farthest distance in metres from the bin's floor; never among the instances."""
+    """Nearest and farthest distance in meters from the bin's floor; never among the instances."""
     fits, clear = _fitting_distance(camera, size), _clear_distance(config, camera, size, diameter)
     return max(config.nearest * fits, clear), max(config.farthest * fits, clear)
 
@@ -51,7 +51,7 @@ def distance_range(config: ViewpointConfig, camera: Camera, size: BinSize, diame
 def at_distances(
     config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float, distances: tuple[float, float]
 ) -> ViewpointConfig:
-    """The config whose cameras stand `distances` (nearest, farthest) metres from the bin's floor.
+    """The config whose cameras stand `distances` (nearest, farthest) meters from the bin's floor.
 
     Raises:
         InputError: that near they would stand among the instances.
@@ -67,19 +67,19 @@ def at_distances(
 
 
 def _fitting_distance(camera: Camera, size: BinSize) -> float:
-    """Metres from the floor at which the bin's opening just fits the image's narrower side."""
+    """Meters from the floor at which the bin's opening just fits the image's narrower side."""
     half_view = min(camera.width / (2 * camera.fx), camera.height / (2 * camera.fy))
     return max(size.width, size.depth) / 2 / half_view + size.height
 
 
 def _clear_distance(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> float:
-    """Metres from the floor from which on a camera is above the instances, however tilted."""
+    """Meters from the floor from which on a camera is above the instances, however tilted."""
     tilt, off_axis = max_tilt(config, camera, size), math.hypot(*_middle_ray(camera)[:2])
     return (size.height + HEADROOM * diameter) / (math.cos(tilt) - off_axis * math.sin(tilt))
 
 
 def farthest_ground(config: ViewpointConfig, camera: Camera, size: BinSize, farthest: float) -> float:
-    """A bound in metres on the axial depth of ground seen from the `farthest` distance, infinite above the horizon."""
+    """A bound in meters on the axial depth of ground seen from the `farthest` distance, infinite above the horizon."""
     corners = camera.unproject([[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)], np.ones(4))
     off_axis = float(np.linalg.norm(corners[:, :2], axis=1).max())
     steepest = max_tilt(config, camera, size) + math.atan(off_axis)

@@ -8,7 +8,7 @@ and per instance of all scenes, one after the other (N)::
 
     translation (N,3)  quaternion_xyzw (N,4)  correction (N,3,3 int64)
 
-Of world_from_obj, in metres. A rotation's nine numbers are those of its quaternion, each moved by `correction` steps
+Of world_from_obj, in meters. A rotation's nine numbers are those of its quaternion, each moved by `correction` steps
 of float64: mostly a few units in the last place. So a pose takes 60 bytes and comes back to the last bit.
 
 Cameras are not stored: the config says how they are drawn. The SHA-256 is where a shard has it.
@@ -133,5 +133,5 @@ def _read_poses(file: Any, header: ShardHeader) -> RecordedScenes:
 
 
 def _steps(numbers: Array) -> NDArray[np.int64]:
-    """The bits of float64 numbers: neighbours of one sign differ by one."""
+    """The bits of float64 numbers: neighbors of one sign differ by one."""
     return np.ascontiguousarray(numbers, np.float64).view(np.int64)

@@ -31,7 +31,7 @@ class Job:
         config: complete, its bin chosen.
         model: with its mesh.
         convex_parts: what falls, (vertices (V, 3), faces (F, 3)) each, unless the scenes are recorded.
-        depth_unit: metres a step of the stored depth.
+        depth_unit: meters a step of the stored depth.
         recorded: the scenes whose poses are known beforehand; None where they are simulated.
     """
 

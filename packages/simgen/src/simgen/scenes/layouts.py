@@ -88,7 +88,7 @@ def with_options(job: Job, config: BuildConfig) -> Job:
 
 
 def nearest_and_farthest(job: Job) -> tuple[float, float]:
-    """Smallest and largest axial distance in metres at which an instance may be seen."""
+    """Smallest and largest axial distance in meters at which an instance may be seen."""
     recorded, radius = job.recorded, job.model.diameter / 2
     if recorded is None or recorded.cam_from_world is None:
         raise ValueError("the job's cameras are not recorded")
@@ -106,7 +106,7 @@ def _with_mesh(model: ObjectModel, folder: Path) -> ObjectModel:
         if path.is_file():
             vertices, faces = read_mesh(path)
             return replace(model, vertices=vertices, faces=faces.astype(np.int32))
-    raise InputError(f"{folder}: holds no mesh of the object; put it there as mesh.obj, in metres.")
+    raise InputError(f"{folder}: holds no mesh of the object; put it there as mesh.obj, in meters.")
 
 
 def _rigid(transform: Array) -> Array:
@@ -134,11 +134,11 @@ def _ground(model: ObjectModel, world_from_obj: Sequence[Array]) -> BinSize:
 def _farthest(
     camera: Camera, cam_from_world: Array, world_from_obj: Sequence[Array], model: ObjectModel, size: BinSize
 ) -> float:
-    """Largest axial depth in metres that is to be stored: of the instances, and of what ground the image shows."""
+    """Largest axial depth in meters that is to be stored: of the instances, and of what ground the image shows."""
     instances = max(float(model.centers(cam_from_world @ scene)[:, 2].max(initial=0.0)) for scene in world_from_obj)
     pixels = [[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)]
     world_from_cam = poses.invert(cam_from_world)
-    slope = camera.unproject(pixels, np.ones(4)) @ world_from_cam[:3, :3].T  # of each corner's ray, per axial metre
+    slope = camera.unproject(pixels, np.ones(4)) @ world_from_cam[:3, :3].T  # of each corner's ray, per axial meter
     half = ground_half_side(size)
     edge = np.array([[x, y, 0.0] for x in (-half, half) for y in (-half, half)])
     ground = float(poses.apply(cam_from_world, edge)[:, 2].max())

@@ -17,7 +17,7 @@ from simgen.rendering.viewpoints import at_distances, distance_range, farthest_g
 from simgen.scenes.job import Job, Part
 from simgen.scenes.recorded import RecordedScenes
 
-DEPTH_UNIT = 1e-4  # metres, unless the scene is much larger or smaller than a table
+DEPTH_UNIT = 1e-4  # meters, unless the scene is much larger or smaller than a table
 STEPS_PER_DIAMETER = 500  # 0.1 mm will do for objects of 5 cm and more
 MIN_STEPS_PER_DIAMETER = 50
 STEPS = np.iinfo(np.uint16).max
@@ -34,7 +34,7 @@ def plan(
     """Settle what depends on the object's size: the bin, where it is automatic, the distances and the depth unit.
 
     Args:
-        distances: nearest and farthest of the cameras from the bin's floor in metres, in place of the config's.
+        distances: nearest and farthest of the cameras from the bin's floor in meters, in place of the config's.
 
     Raises:
         InputError: the object is larger than the bin, or the camera cannot see it or would stand among the parts.
@@ -58,12 +58,12 @@ def plan(
 
 
 def camera_distances(job: Job) -> tuple[float, float]:
-    """Nearest and farthest distance in metres of the cameras from the bin's middle."""
+    """Nearest and farthest distance in meters of the cameras from the bin's middle."""
     return distance_range(job.config.viewpoints, job.config.camera, job.bin, job.model.diameter)
 
 
 def depth_unit_for(farthest: float, diameter: float) -> float:
-    """Metres a step: 0.1 mm, or the power of ten that reaches `farthest` in 16 bits where 0.1 mm is too fine or coarse.
+    """Meters a step: 0.1 mm, or the power of ten that reaches `farthest` in 16 bits where 0.1 mm is too fine or coarse.
 
     Raises:
         InputError: from that far 16 bits cannot resolve the object.

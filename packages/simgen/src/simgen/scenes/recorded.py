@@ -18,7 +18,7 @@ class RecordedScenes:
 
     Attributes:
         first: number of the first scene.
-        world_from_obj: (n_s, 4, 4) of each scene, metres.
+        world_from_obj: (n_s, 4, 4) of each scene, meters.
         attempts: drops that each scene took.
         origin: entries of the header's config beside those of :class:`simgen.config.BuildConfig`.
         software: versions of the physics that made the poses.

@@ -1,4 +1,4 @@
-"""From a scene to its labelled views: drawn, measured by the sensor, labelled. Needs no physics."""
+"""From a scene to its labeled views: drawn, measured by the sensor, labeled. Needs no physics."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from evalkit.datasets.scene import Scene, View
 from simgen.physics.bin_shape import bin_mesh
-from simgen.rendering.labels import label_instances, quantised
+from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.renderers import depth_renderer
 from simgen.rendering.viewpoints import draw_viewpoints
 from simgen.scenes.job import Job
@@ -16,7 +16,7 @@ from simgen.sensors.sensor import measure, sensor_generator
 
 
 class SceneRenderer:
-    """Turns the scenes of a job into labelled views."""
+    """Turns the scenes of a job into labeled views."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -33,7 +33,7 @@ class SceneRenderer:
             if config.sensor is not None:
                 rng = sensor_generator(config.seed, scene.index, view)
                 depth = measure(depth, config.camera, config.sensor, rng)
-            depth_raw = quantised(depth, unit)
+            depth_raw = quantized(depth, unit)
             yield View(
                 camera=config.camera,
                 depth_raw=depth_raw,
@@ -43,7 +43,7 @@ class SceneRenderer:
                 instances=label_instances(rendering, depth_raw, cam_from_obj, model, config.camera),
                 scene_index=scene.index,
                 view_index=view,
-                depth_ideal_raw=quantised(rendering.depth, unit) if config.keep_ideal else None,
+                depth_ideal_raw=quantized(rendering.depth, unit) if config.keep_ideal else None,
             )
 
 

@@ -17,7 +17,7 @@ _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def matching_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Normal numbers (H, W) of variance 1, correlated as neighbouring matching windows are."""
+    """Normal numbers (H, W) of variance 1, correlated as neighboring matching windows are."""
     kernels = [(weight, _taps(deviation)) for weight, deviation in NOISE_BLURS]
     margin = max(len(taps) // 2 for _, taps in kernels)
     square = np.zeros((2 * margin + 1,) * 2)

@@ -11,7 +11,7 @@ Everything happens in disparity, focal * baseline / z, where matching makes its 
 A pixel with a return is visible, be the return right or wrong: labels tell which surface lies there, and no error of
 the sensor moves an instance.
 
-What is not modelled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
+What is not modeled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
 Sources of the parameters are in :mod:`simgen.sensors.sensor_config`.
 """
 
@@ -47,11 +47,11 @@ def measure(depth: Image, camera: Camera, sensor: SensorConfig, rng: np.random.G
     """What the sensor tells of an ideal depth image.
 
     Args:
-        depth: (H, W) axial metres, 0 = nothing there.
+        depth: (H, W) axial meters, 0 = nothing there.
         camera: the intrinsics, those of both eyes.
 
     Returns:
-        (H, W) axial metres, 0 = no return. Where there is nothing nothing returns.
+        (H, W) axial meters, 0 = no return. Where there is nothing nothing returns.
     """
     scale = camera.fx * sensor.baseline
     disparity = disparities(depth, scale)
@@ -96,7 +96,7 @@ def disparities(depth, scale):  # type: ignore[no-untyped-def]
 def distance_to_step(disparity, step):  # type: ignore[no-untyped-def]
     """Chessboard distance in pixels (H, W) to the other side of the nearest step, at most EDGE_REACH + 1.
 
-    The two pixels of a step, neighbours in a row or a column, are at distance 1.
+    The two pixels of a step, neighbors in a row or a column, are at distance 1.
     """
     height, width = disparity.shape
     out = np.full((height, width), EDGE_REACH + 1, np.uint8)
@@ -181,7 +181,7 @@ def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-un
 
 @_compiled
 def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
-    """Depth in metres (H, W) from true and wrong disparities, unit noise and where matching fails."""
+    """Depth in meters (H, W) from true and wrong disparities, unit noise and where matching fails."""
     height, width = disparity.shape
     fx, fy, steepest = slopes
     noise_px, per_slope, quantum = amount
@@ -194,8 +194,8 @@ def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slo
             limit = limits[to_step[v, u]]
             if failure[v, u] < (max(limit, shadow) if hidden[v, u] else limit):
                 continue
-            left, right = _neighbours(u, width)
-            above, below = _neighbours(v, height)
+            left, right = _neighbors(u, width)
+            above, below = _neighbors(v, height)
             across = _gentler(disparity[v, left], true, disparity[v, right])
             down = _gentler(disparity[above, u], true, disparity[below, u])
             slope = math.sqrt((fx * across) ** 2 + (fy * down) ** 2) / true
@@ -210,7 +210,7 @@ def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slo
 
 
 @_compiled
-def _neighbours(place, count):  # type: ignore[no-untyped-def]
+def _neighbors(place, count):  # type: ignore[no-untyped-def]
     """The places before and after; at either end twice the same."""
     before, after = place - 1, place + 1
     if before < 0:

@@ -24,14 +24,14 @@ class SensorConfig:
 
     Attributes:
         model: name of the preset that it came from.
-        baseline: metres between the two eyes.
+        baseline: meters between the two eyes.
         noise_px: standard deviation of disparity on a surface that faces the camera.
         noise_per_slope: growth of that with the surface's slope, times (1 + this * tan(slope)).
         quantum_px: step of the disparity that is told.
         smooth_missing: share of pixels without a return far from any edge; they come in blobs.
         edge_missing: share without a return right beside a step, falling by e each `edge_reach_px` pixels.
         edge_reach_px: see `edge_missing`.
-        step_px: neighbours whose disparity differs by more have a step between them.
+        step_px: neighbors whose disparity differs by more have a step between them.
         shadow_missing: share without a return where the second eye sees something nearer.
         wrong_patches: area of patches matched to another place's disparity, over the area close to steps.
         steepest_degrees: steeper surfaces give no return.
@@ -69,7 +69,7 @@ class SensorConfig:
                 raise InputError(f"--sensor {self.model}: {name} {value:g} must be {least:g} to {most:g}.")
 
     def sigma(self, camera: Camera, distance: float) -> float:
-        """Standard deviation in metres of the depth of a surface that faces the camera at `distance` metres."""
+        """Standard deviation in meters of the depth of a surface that faces the camera at `distance` meters."""
         return self.noise_px * distance**2 / (camera.fx * self.baseline)
 
     def describe(self, camera: Camera, nearest: float, farthest: float) -> str:
@@ -85,7 +85,7 @@ class SensorConfig:
         """Refuse a baseline too long for the distance.
 
         Raises:
-            InputError: at `nearest` metres the two eyes see different things.
+            InputError: at `nearest` meters the two eyes see different things.
         """
         disparity, most = camera.fx * self.baseline / nearest, MOST_DISPARITY * camera.width
         if disparity > most:

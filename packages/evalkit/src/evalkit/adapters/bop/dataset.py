@@ -1,4 +1,4 @@
-"""The BOP benchmark's datasets (Hodaň et al. 2018), scene-wise format: millimetres and OpenCV axes in, metres out.
+"""The BOP benchmark's datasets (Hodaň et al. 2018), scene-wise format: millimeters and OpenCV axes in, meters out.
 
 ``SPLIT/000001/scene_gt.json`` holds the poses, ``scene_gt_info.json`` the visible fractions, ``scene_camera.json`` the
 intrinsics and the depth's scale, ``models*/`` beside the split the objects. Sets of several sensors add the sensor's
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.adapters.bop.object import METRES, read_object
+from evalkit.adapters.bop.object import METERS, read_object
 from evalkit.adapters.bop.scenes import Scene, dataset_folder, find_scenes
 from evalkit.adapters.depth_images import DepthImage
 from evalkit.adapters.fields import checked_poses, image_id, numbers
@@ -29,7 +29,7 @@ from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]
-NEAREST = 0.01  # metres; a camera sees nothing nearer, but metres read as millimetres lie there
+NEAREST = 0.01  # meters; a camera sees nothing nearer, but meters read as millimeters lie there
 Targets = dict[tuple[int, int], set[int] | None]
 
 
@@ -203,11 +203,11 @@ def _poses(rows: list[dict[str, Any]], chosen: list[int], model: ObjectModel, wh
         return f"{where}: instance {chosen[i]}"
 
     rotation = [numbers(rows[k], "cam_R_m2c", (3, 3), f"{where}: instance {k}") for k in chosen]
-    translation = [numbers(rows[k], "cam_t_m2c", (3,), f"{where}: instance {k}") * METRES for k in chosen]
+    translation = [numbers(rows[k], "cam_t_m2c", (3,), f"{where}: instance {k}") * METERS for k in chosen]
     cam_from_obj = checked_poses(np.array(rotation), np.array(translation), place)
     if (np.linalg.norm(model.centers(cam_from_obj), axis=1) < NEAREST).any():
         raise InputError(
-            f"{where}: an object lies within {1e3 * NEAREST:g} mm of the camera; BOP's unit is millimetres."
+            f"{where}: an object lies within {1e3 * NEAREST:g} mm of the camera; BOP's unit is millimeters."
         )
     return cam_from_obj
 

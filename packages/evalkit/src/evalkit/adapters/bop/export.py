@@ -3,9 +3,9 @@
 ::
 
     camera.json  test_targets_bop19.json
-    models/, models_eval/       obj_000001.ply in millimetres, models_info.json with the symmetries
+    models/, models_eval/       obj_000001.ply in millimeters, models_info.json with the symmetries
     SPLIT/SSSSSS/               scene_gt.json, scene_gt_info.json, scene_camera.json
-    SPLIT/SSSSSS/depth/         VVVVVV.png, the stored steps; scene_camera.json says how many millimetres one is
+    SPLIT/SSSSSS/depth/         VVVVVV.png, the stored steps; scene_camera.json says how many millimeters one is
     SPLIT/SSSSSS/mask/          VVVVVV_NNNNNN.png, whole silhouettes within the frame; mask_visib/: what is seen of them
 
 S counts scenes, V views of a scene, N instances of a view. Visible is what has a depth return, so that the counts, the
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
-from evalkit.adapters.bop.object import METRES
+from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.depth_images import write_png
 from evalkit.atomic import write_json
 from evalkit.datasets.scene import View
@@ -54,12 +54,12 @@ def write_dataset_files(dataset: Path, model: ObjectModel, camera: Camera, depth
         raise InputError(f"object '{model.title}' has no mesh, and BOP knows no object without one.")
     intrinsics = {key: value for key, value in camera.to_json().items() if key not in ("width", "height")}
     size = {"width": camera.width, "height": camera.height}
-    write_json(dataset / "camera.json", intrinsics | size | {"depth_scale": depth_unit / METRES}, indent=2)
-    used = model.vertices[np.unique(model.faces)] / METRES
-    info = _extent(used) | _symmetries(model.symmetry, model.centroid / METRES)
+    write_json(dataset / "camera.json", intrinsics | size | {"depth_scale": depth_unit / METERS}, indent=2)
+    used = model.vertices[np.unique(model.faces)] / METERS
+    info = _extent(used) | _symmetries(model.symmetry, model.centroid / METERS)
     normals = _vertex_normals(model.vertices, model.faces)
     for name in ("models", "models_eval"):
-        write_ply(dataset / name / f"obj_{OBJECT_ID:06d}.ply", model.vertices / METRES, model.faces, normals)
+        write_ply(dataset / name / f"obj_{OBJECT_ID:06d}.ply", model.vertices / METERS, model.faces, normals)
         write_json(dataset / name / "models_info.json", {str(OBJECT_ID): info}, indent=2)
 
 
@@ -82,7 +82,7 @@ def write_scene(folder: Path, views: Iterable[View], silhouettes: Silhouettes) -
         ]
         cameras[key] = {
             "cam_K": view.camera.matrix.ravel().tolist(),
-            "depth_scale": view.depth_unit / METRES,
+            "depth_scale": view.depth_unit / METERS,
             **_pose(view.cam_from_world, "cam_R_w2c", "cam_t_w2c"),
         }
         info[key] = []
@@ -112,7 +112,7 @@ def write_targets(path: Path, counted: Iterable[tuple[int, int, Array]]) -> None
 
 
 def _pose(pose: Array, rotation: str, translation: str) -> dict[str, list[float]]:
-    return {rotation: pose[:3, :3].ravel().tolist(), translation: (pose[:3, 3] / METRES).tolist()}
+    return {rotation: pose[:3, :3].ravel().tolist(), translation: (pose[:3, 3] / METERS).tolist()}
 
 
 def _instance_info(view: View, row: int, pixels_valid: int) -> dict[str, Any]:
@@ -142,7 +142,7 @@ def _extent(vertices: Array) -> dict[str, float]:
 
 
 def _symmetries(symmetry: Symmetry, center: Array) -> dict[str, Any]:
-    """The group as motions of the model's frame, millimetres: the discrete ones without the identity, the axes."""
+    """The group as motions of the model's frame, millimeters: the discrete ones without the identity, the axes."""
     if symmetry.kind == "sphere":
         axes, discrete = np.eye(3)[:2], np.zeros((0, 3, 3))  # two axes generate all rotations
     else:

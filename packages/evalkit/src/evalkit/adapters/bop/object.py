@@ -1,4 +1,4 @@
-"""BOP's object models: ``models*/obj_000001.ply`` in millimetres and the symmetries that models_info.json states.
+"""BOP's object models: ``models*/obj_000001.ply`` in millimeters and the symmetries that models_info.json states.
 
 BOP's symmetries are rigid motions of the model's frame, and leave out the identity; evalkit's are rotations about the
 centroid. They become the same where the centroid is a point that all of them keep, so it is moved to the nearest one.
@@ -25,7 +25,7 @@ from evalkit.objects.symmetry import Symmetry
 from evalkit.objects.symmetry_detection import resolve_symmetry
 
 Array = NDArray[np.float64]
-METRES = 1e-3  # a millimetre
+METERS = 1e-3  # a millimeter
 MODEL_FOLDERS = ("models_eval", "models", "models_cad", "models_reconst")  # BOP computes errors on the first
 SAME_TURN = 0.05  # radians between two elements that are one, written with different rounding
 LARGEST_GROUP = 120  # the proper icosahedral group has 60
@@ -42,7 +42,7 @@ def read_object(
     units: str | None = None,
     symmetry: str | None = None,
 ) -> tuple[ObjectModel, list[str]]:
-    """An object of a BOP dataset, in metres, and remarks on what had to be assumed.
+    """An object of a BOP dataset, in meters, and remarks on what had to be assumed.
 
     Args:
         dataset: the folder that holds models*/; None where there is none.
@@ -102,8 +102,8 @@ def _info(folder: Path, object_id: int) -> tuple[dict[str, Any], str]:
 
 def _box(name: str, info: dict[str, Any], where: str) -> ObjectModel:
     """The bounding box; without points, for it says nothing about the surface."""
-    low = np.array([float(numbers(info, f"min_{axis}", (), where)) for axis in "xyz"]) * METRES
-    size = np.array([float(numbers(info, f"size_{axis}", (), where)) for axis in "xyz"]) * METRES
+    low = np.array([float(numbers(info, f"min_{axis}", (), where)) for axis in "xyz"]) * METERS
+    size = np.array([float(numbers(info, f"size_{axis}", (), where)) for axis in "xyz"]) * METERS
     corners = low + size * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     check_size(float(size.max()), f"{where}: the box of min and size")
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -114,11 +114,11 @@ def _box(name: str, info: dict[str, Any], where: str) -> ObjectModel:
 
 def _with_bop_threshold(model: ObjectModel, info: dict[str, Any], where: str) -> ObjectModel:
     """A tenth of BOP's diameter, the largest distance of two vertices, so that its thresholds mean what BOP means."""
-    diameter = float(numbers(info, "diameter", (), where)) * METRES
+    diameter = float(numbers(info, "diameter", (), where)) * METERS
     if not 0.4 <= diameter / model.diameter <= 2.0:
         raise InputError(
             f"{where}: its 'diameter' is {diameter:.4g} m but the mesh's {model.diameter:.4g} m; "
-            "the file must be in millimetres, or --units is wrong."
+            "the file must be in millimeters, or --units is wrong."
         )
     notes = {**model.notes, "threshold": "a tenth of the diameter that models_info.json states"}
     return replace(model, threshold=THRESHOLD_RATIO * diameter, notes=notes)
@@ -141,24 +141,24 @@ def _with_stated_symmetry(model: ObjectModel, info: dict[str, Any], where: str, 
     strayed = np.linalg.norm(np.cross(axes, kept - offsets), axis=1)
     moved = float(np.linalg.norm(kept - model.centroid))
     if max([0.0, *carried, *strayed]) > KEPT * model.diameter or moved > NEARBY * model.diameter:
-        raise InputError(f"{where}: its symmetries keep no point near the object's centre; are all in millimetres?")
+        raise InputError(f"{where}: its symmetries keep no point near the object's center; are all in millimeters?")
     if moved > WORTH_A_REMARK * model.diameter:
         remarks.append(f"The centroid is moved by {1e3 * moved:.2g} mm to the point that the stated symmetries keep.")
-    return _centred_at(model, kept).with_symmetry(symmetry)
+    return _centered_at(model, kept).with_symmetry(symmetry)
 
 
 def _discrete(info: dict[str, Any], where: str) -> Array:
-    """symmetries_discrete as transforms (n, 4, 4), metres."""
+    """symmetries_discrete as transforms (n, 4, 4), meters."""
     rows = info.get("symmetries_discrete") or []
     transforms = numbers({"symmetries_discrete": rows}, "symmetries_discrete", (-1, 4, 4), where).copy()
     if not poses.is_rotation(transforms[:, :3, :3], 1e-2).all():
         raise InputError(f"{where}: the field 'symmetries_discrete' holds a matrix that is no rigid motion.")
-    transforms[:, :3, 3] *= METRES
+    transforms[:, :3, 3] *= METERS
     return transforms
 
 
 def _continuous(info: dict[str, Any], where: str) -> tuple[Array, Array]:
-    """symmetries_continuous as unit axes (n, 3) and points on them (n, 3), metres."""
+    """symmetries_continuous as unit axes (n, 3) and points on them (n, 3), meters."""
     rows = info.get("symmetries_continuous") or []
     if not isinstance(rows, list):
         raise InputError(f"{where}: the field 'symmetries_continuous' must be a list of {{'axis', 'offset'}}.")
@@ -168,7 +168,7 @@ def _continuous(info: dict[str, Any], where: str) -> tuple[Array, Array]:
     lengths = np.linalg.norm(axes, axis=1, keepdims=True)
     if (lengths == 0).any():
         raise InputError(f"{place}: an 'axis' is zero; give its direction.")
-    return axes / lengths, offsets * METRES
+    return axes / lengths, offsets * METERS
 
 
 def symmetry_group(rotations: Array, axes: Array, where: str) -> Symmetry:
@@ -213,7 +213,7 @@ def _kept_point(centroid: Array, discrete: Array, axes: Array, offsets: Array) -
     return np.asarray(centroid + step)
 
 
-def _centred_at(model: ObjectModel, center: Array) -> ObjectModel:
+def _centered_at(model: ObjectModel, center: Array) -> ObjectModel:
     turn = model.inertial_from_obj[:3, :3]
     diameter = model.diameter
     if model.vertices is not None and model.faces is not None:

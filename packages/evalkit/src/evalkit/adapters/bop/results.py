@@ -1,6 +1,6 @@
 """BOP's results file, one pose a row: ``scene_id,im_id,obj_id,score,R,t,time``.
 
-R is row-wise and t in millimetres, their numbers separated by spaces; time is the seconds spent on the image, the same
+R is row-wise and t in millimeters, their numbers separated by spaces; time is the seconds spent on the image, the same
 in all its rows, -1 where not known.
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.adapters.bop.object import METRES
+from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.fields import checked_poses, csv_rows, image_id
 from evalkit.atomic import atomic_path
 from evalkit.datasets.documents import PredictionImage, Predictions
@@ -33,7 +33,7 @@ class _Row(NamedTuple):
     scene: int
     image: int
     obj: int
-    values: list[float]  # score, R (9), t (3) in millimetres, time
+    values: list[float]  # score, R (9), t (3) in millimeters, time
 
 
 def read_predictions(path: Path, *, object_id: int | None = None, object_name: str | None = None) -> Predictions:
@@ -55,7 +55,7 @@ def read_predictions(path: Path, *, object_id: int | None = None, object_name: s
     values = np.array([row.values for row in rows])
     places = [row.line for row in rows]
     cam_from_obj = checked_poses(
-        values[:, 1:10], values[:, 10:13] * METRES, lambda i: f"{path}: line {places[i]}: the estimate"
+        values[:, 1:10], values[:, 10:13] * METERS, lambda i: f"{path}: line {places[i]}: the estimate"
     )
     images = _images(path, rows, cam_from_obj, values[:, 0], values[:, 13])
     return Predictions(object_name or f"obj_{object_id:06d}", images, source=str(path))
@@ -80,7 +80,7 @@ def write_predictions(path: Path, predictions: Predictions, *, object_id: int | 
             scene, im = _two_numbers(image.id, predictions.source)
             time = UNKNOWN_TIME if image.time_s is None else image.time_s
             for pose, score in zip(image.cam_from_obj, image.score, strict=True):
-                rotation, translation = _words(pose[:3, :3]), _words(pose[:3, 3] / METRES)
+                rotation, translation = _words(pose[:3, :3]), _words(pose[:3, 3] / METERS)
                 file.write(f"{scene},{im},{obj},{float(score)!r},{rotation},{translation},{time!r}\n")
 
 

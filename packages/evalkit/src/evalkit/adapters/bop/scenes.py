@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.adapters.bop.object import METRES
+from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.depth_images import read_raw_depth
 from evalkit.errors import InputError
 from evalkit.json_file import load_json
@@ -50,9 +50,9 @@ class Scene:
         return next((name for name in names if name.is_file()), None)
 
     def read_depth(self, number: int, scale: float) -> Array:
-        """The depth image (height, width) in metres, 0 = no return; `scale` is millimetres a step."""
+        """The depth image (height, width) in meters, 0 = no return; `scale` is millimeters a step."""
         path = self.image(number, ("depth",)) or self.folder / f"depth{self.sensor}" / f"{number:06d}.png"
-        return read_raw_depth(path) * (scale * METRES)
+        return read_raw_depth(path) * (scale * METERS)
 
 
 def find_scenes(folder: Path, sensor: str | None = None, stem: str = "scene_gt") -> list[Scene]:

@@ -1,7 +1,7 @@
 """The Siléane dataset's files (Brégier et al. 2017), as its evaluation toolbox reads them.
 
 ``poseutils.json`` describes the object, ``gt/SCENE.json`` lists ``{"R", "t", "occlusion_rate"}`` and
-``results/SCENE.json`` lists ``{"R", "t", "score"}``. Their poses are world_from_obj in metres; with
+``results/SCENE.json`` lists ``{"R", "t", "score"}``. Their poses are world_from_obj in meters; with
 ``camera_params.txt`` at hand they become cam_from_obj, without they stay and the document says so.
 """
 
@@ -121,7 +121,7 @@ def read_object(folder: Path, name: str | None = None) -> ObjectModel:
         raise InputError(f"{path}: expected an object with 'type', 'Rref2i', 'tref2i', 'distance_threshold'.")
     threshold = float(numbers(document, "distance_threshold", (), str(path)))
     if threshold <= 0:
-        raise InputError(f"{path}: the field 'distance_threshold' must be positive metres.")
+        raise InputError(f"{path}: the field 'distance_threshold' must be positive meters.")
     turn, shift = numbers(document, "Rref2i", (3, 3), str(path)), numbers(document, "tref2i", (3,), str(path))
     if not poses.is_rotation(turn, 5e-3):
         raise InputError(f"{path}: the field 'Rref2i' is not a rotation.")
@@ -162,7 +162,7 @@ def _clip_planes(path: Path) -> tuple[float, float]:
     read = _camera_fields(path)
     near, far = float(read("clip_start", 1)[0]), float(read("clip_end", 1)[0])
     if not 0 <= near < far:
-        raise InputError(f"{path}: 'clip_start' {near:g} and 'clip_end' {far:g} must be metres, the first the smaller.")
+        raise InputError(f"{path}: 'clip_start' {near:g} and 'clip_end' {far:g} must be meters, the first the smaller.")
     return near, far
 
 

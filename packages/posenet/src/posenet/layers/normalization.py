@@ -1,4 +1,4 @@
-"""What follows a convolution: batch normalisation that several processes share, or group normalisation."""
+"""What follows a convolution: batch normalization that several processes share, or group normalization."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from torch import Tensor, distributed, nn
 GROUPS = 8
 
 
-def build_normalisation(kind: str, channels: int) -> nn.Module:
-    """`batch` normalises over the images of a step, `group` within each image: for batches of one or two."""
+def build_normalization(kind: str, channels: int) -> nn.Module:
+    """`batch` normalizes over the images of a step, `group` within each image: for batches of one or two."""
     return SharedBatchNorm2d(channels) if kind == "batch" else nn.GroupNorm(GROUPS, channels)
 
 
 class SharedBatchNorm2d(nn.BatchNorm2d):
-    """Batch normalisation over the images of all processes that train together; torch's own in a single one.
+    """Batch normalization over the images of all processes that train together; torch's own in a single one.
 
     torch.nn.SyncBatchNorm refuses the CPU. All processes must come by as often: they run one network on their images.
     """
@@ -28,11 +28,11 @@ class SharedBatchNorm2d(nn.BatchNorm2d):
         total = all_reduced(torch.cat([values.sum((0, 2, 3)), values.new_tensor([values[:, 0].numel()])]))
         count = total[-1].clamp(min=1.0)
         mean = total[:-1] / count
-        centred = values - mean[:, None, None]
-        variance = all_reduced(centred.square().sum((0, 2, 3))) / count
+        centered = values - mean[:, None, None]
+        variance = all_reduced(centered.square().sum((0, 2, 3))) / count
         self._remember(mean.detach(), variance.detach() * (count / (count - 1).clamp(min=1.0)).detach())
         scale = self.weight * torch.rsqrt(variance + self.eps)
-        return (centred * scale[:, None, None] + self.bias[:, None, None]).to(input.dtype)
+        return (centered * scale[:, None, None] + self.bias[:, None, None]).to(input.dtype)
 
     @torch.no_grad()
     def _remember(self, mean: Tensor, variance: Tensor) -> None:
