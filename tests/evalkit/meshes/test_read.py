@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +107,9 @@ def test_arbitrary_bytes_never_raise_anything_else(tmp_path: Path, extension: st
             continue
         assert len(faces) > 0 and faces.max() < len(vertices)
         assert np.isfinite(vertices[faces]).all()
+
+
+def test_commands_that_read_no_mesh_do_not_wait_for_the_mesh_libraries() -> None:
+    code = "import sys, evalkit.commands.cli, evalkit.meshes.load; print({'trimesh', 'manifold3d'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "set()", done.stderr
