@@ -126,7 +126,7 @@ def page() -> str:
             rows = {sentence.text: sentence for sentence in mine if sentence.room == room}
             for sentence in rows.values():
                 wrong, mend = map(_html, sentence.parts)
-                lines.append(f"| {wrong} | {mend or NO_MEND} | {sentence.file.removeprefix(room + '/')} |")
+                lines.append(f"| {wrong} | {mend or NO_MEND} | `{sentence.file.removeprefix(room + '/')}` |")
     return "\n".join(lines) + "\n"
 
 
