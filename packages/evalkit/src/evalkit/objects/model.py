@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry import poses
+from evalkit.objects.outside import seen_from_outside
 from evalkit.objects.symmetry import Symmetry
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class ObjectModel:
         symmetry: proper symmetry group, in the object's frame, about the centroid.
         threshold: a pose within this Sym distance of the truth counts as true.
         points: (n, 3) a fixed, area-weighted sample of the surface, for ADD and its kin.
-        vertices, faces: (V, 3) and (F, 3) the mesh, where it is at hand.
+        vertices, faces: (V, 3) and (F, 3) the mesh, where it is at hand; made by :meth:`from_mesh`, its outside.
     """
 
     name: str
@@ -52,10 +53,13 @@ class ObjectModel:
     ) -> ObjectModel:
         """From a triangle mesh: vertices (V, 3) in meters, faces (F, 3).
 
+        What cannot be seen from outside, inner bodies and cavities, is left out.
+
         Raises:
             InputError: the mesh has no surface.
         """
         vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
+        faces = faces[seen_from_outside(vertices, faces)]
         area, centroid, covariance = surface_moments(vertices, faces)
         if not area > 0:
             raise InputError(f"object '{name}': the mesh has no surface area.")

@@ -29,6 +29,7 @@ class Surface:
         centroid: (3,) meters.
         points, normals: (n, 3) each, uniform over the area; in random order, so that any slice is a sample too.
         spacing: mean distance of neighboring samples.
+        covariance: (3, 3) second moments of the whole surface, exactly.
     """
 
     radius: float
@@ -36,12 +37,13 @@ class Surface:
     points: Array
     normals: Array
     spacing: float
+    covariance: Array
 
     @classmethod
     def from_mesh(cls, vertices: ArrayLike, faces: ArrayLike, count: int = SAMPLES) -> Surface:
         """From a triangle mesh with some area: vertices (V, 3), faces (F, 3)."""
         vertices, faces = np.asarray(vertices, float), np.asarray(faces)
-        area, centroid, _ = surface_moments(vertices, faces)
+        area, centroid, covariance = surface_moments(vertices, faces)
         radius = float(np.linalg.norm(vertices[np.unique(faces)] - centroid, axis=1).max())
         points, normals = sample_surface_with_normals(vertices, faces, count)
         shuffled = np.random.default_rng(0).permutation(count)
@@ -51,12 +53,8 @@ class Surface:
             points=(points[shuffled] - centroid) / radius,
             normals=normals[shuffled],
             spacing=float(np.sqrt(area / count)) / radius,
+            covariance=covariance / radius**2,
         )
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Second moments (3, 3) of the sample."""
-        return self.points.T @ self.points / len(self.points)
 
     def distance(self, points: ArrayLike) -> Array:
         """Distance (n,) of points (n, 3) to the surface.

@@ -5,7 +5,7 @@ Points are in units of the surface's bounding radius about its centroid (:class:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ class SymmetryCandidate:
     Attributes:
         typical, worst: meters; 99 of 100 surface points are within `typical`, all but a handful within `worst`.
         typical_excess, worst_excess: how many times their tolerances these are.
+        sight_excess: how many times the least visible difference a camera sees; see :mod:`evalkit.objects.sight`.
     """
 
     symmetry: Symmetry
@@ -40,11 +41,17 @@ class SymmetryCandidate:
     worst: float
     typical_excess: float
     worst_excess: float
+    sight_excess: float = 0.0
 
     @property
     def excess(self) -> float:
         """How many times the tolerances the surface is off; the hypothesis holds at 1 or less."""
-        return max(self.typical_excess, self.worst_excess)
+        return max(self.typical_excess, self.worst_excess, self.sight_excess)
+
+    @property
+    def only_seen_to_be_wrong(self) -> bool:
+        """Whether it is within the distances' tolerances, and a camera sees that it is none all the same."""
+        return max(self.typical_excess, self.worst_excess) <= 1.0 < self.sight_excess
 
     @property
     def accepted(self) -> bool:
@@ -72,6 +79,11 @@ def deviation(surface: Surface, symmetry: Symmetry, points: Array) -> tuple[Arra
     distance = surface.distance(turned(elements, points))
     lever = _lever(symmetry, elements, surface.points)
     return distance, distance / np.clip(NOISE_LEVERS * surface.roughness, lever, MOST_STRETCHED * lever)
+
+
+def noise_stretch(surface: Surface) -> float:
+    """What noise stretches the tolerances of a turn with a lever of one by."""
+    return float(np.clip(NOISE_LEVERS * surface.roughness, 1.0, MOST_STRETCHED))
 
 
 def _lever(symmetry: Symmetry, elements: Array, points: Array) -> Array:
@@ -184,6 +196,7 @@ def snapped(surface: Surface, candidate: SymmetryCandidate) -> SymmetryCandidate
     if frame is None:
         return candidate
     straight = verify(surface, Symmetry.parse(candidate.symmetry.name, frame), surface.points[:DENSE])
+    straight = replace(straight, sight_excess=candidate.sight_excess)
     as_good = straight.typical <= 1.1 * candidate.typical and straight.excess <= max(1.0, candidate.excess)
     return straight if as_good else candidate
 
