@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
-from evalkit.geometry.camera_text import FORMATS
+from evalkit.geometry.camera_text import FORMATS, ColmapRows
 
 LARGEST = 1e12  # no intrinsic is near it, and integers beyond 1e308 are no floats
 SAME = 1e-6  # relative; two fields that differ by more contradict each other
@@ -80,7 +80,7 @@ def canonical(document: dict[Any, Any], where: str) -> Fields:
     fields: Fields = {}
     for key, value in document.items():
         name = CANONICAL.get(_plain(key))
-        if name is None or value is None:
+        if name is None or value is None or (name == "colmap" and not isinstance(value, ColmapRows)):
             continue
         opened = canonical(value, where) if isinstance(value, dict) and name in ("matrix", "distortion") else {}
         if name == "intrinsics" and isinstance(value, list):  # a dictionary is a group, which find_camera looks into

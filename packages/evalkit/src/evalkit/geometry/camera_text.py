@@ -18,6 +18,10 @@ FORMATS = (
 LARGEST_FILE = 1 << 20  # bytes; such files hold a few hundred
 
 
+class ColmapRows(list[list[Any]]):
+    """The rows of a COLMAP cameras.txt: number, model, width, height and parameters, each at least five words."""
+
+
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     """YAML as OpenCV writes it: matrices are tagged, and are plain mappings otherwise."""
 
@@ -91,7 +95,7 @@ def _lines(text: str) -> dict[str, Any]:
     """Lines ``key value …`` as Siléane's camera_params.txt has them; COLMAP's rows come under 'colmap'."""
     rows = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if rows and all(len(row) >= 5 and row[0].isdecimal() and row[1].isupper() for row in rows):
-        return {"colmap": [[_number(word) for word in row] for row in rows]}
+        return {"colmap": ColmapRows([_number(word) for word in row] for row in rows)}
     lists = {row[0].rstrip(":="): [_number(word) for word in row[1:] if word not in ":="] for row in rows}
     return {key: values[0] if len(values) == 1 else values for key, values in lists.items()}
 
