@@ -121,7 +121,7 @@ def test_a_scene_does_not_depend_on_what_was_simulated_before() -> None:
 
 def test_another_process_simulates_the_same_bits() -> None:
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import test_physics as t; "
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_pile as t; "
         "print(t.pile_of('angle', scene=3).world_from_obj.tobytes().hex())"
     )
     folder = __file__.rpartition("/")[0]
