@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
@@ -87,11 +88,20 @@ def prepare_object(
     _require_body(mesh, source)
     mesh, unit, reason, warnings = _in_meters(mesh, source, units, scale, found_mesh.unit)
     found = resolve_symmetry(mesh.vertices, mesh.faces, symmetry)
-    parts, convex_warnings = convex_parts(mesh.vertices, mesh.faces)
     notes |= {"units": unit, "scale": scale, "symmetry_from": "mesh" if symmetry == "auto" else "user"}
     model = ObjectModel.from_mesh(name or own_name, mesh.vertices, mesh.faces, found.symmetry, **notes)
+    outside = _outside(model)
+    if hidden := len(mesh.faces) - len(outside):
+        warnings.append(f"{hidden} of {len(mesh.faces)} faces cannot be seen from outside and count for nothing.")
+    parts, convex_warnings = convex_parts(mesh.vertices, outside)
     warnings += [*substituted, *mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
     return PreparedObject(model, parts, warnings, reason, mesh, found)
+
+
+def _outside(model: ObjectModel) -> NDArray[np.int64]:
+    """The faces that the model kept: its hulls are made of these, so that a dataset can be repaired from its shards."""
+    assert model.faces is not None
+    return model.faces.astype(np.int64)
 
 
 def _existing(source: str) -> tuple[str, list[str]]:
