@@ -48,7 +48,7 @@ FLOORS = {  # from the ground up; a room imports rooms of lower floors only
         ["commands"],
     ],
 }
-TO_RENAME = {"bins", "build", "hypotheses"}  # two things each, until they are renamed
+TO_RENAME = {"build"}  # two things each, until they are renamed
 THEIRS = {"gl_renderer.py": {"_renderer"}}  # of pyrender's offscreen renderer
 NAMED_TUPLES = ("_asdict", "_fields", "_make", "_replace")  # public, whatever their names say
 

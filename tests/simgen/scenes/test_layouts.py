@@ -50,7 +50,7 @@ def render(*arguments: object) -> Result:
 def test_published_scenes_are_seen_by_their_camera_in_their_order(folder: Path, tmp_path: Path) -> None:
     result = render(folder, "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert "2 scenes of 1 to 3 instances of 'boxes', 80 x 60 pixels" in result.output
+    assert "2 scenes of 1 to 3 instances of 'the object', 80 x 60 pixels" in result.output
     dataset = ShardDataset(tmp_path / "out")
     assert dataset.header.config["layouts"] == {"format": "sileane", "scenes": ["a", "b"]}
     sunk, stack = dataset
@@ -100,9 +100,9 @@ def test_other_poses_are_another_dataset(folder: Path, tmp_path: Path) -> None:
         ("camera_params.txt", [], "needs gt/*.json, camera_params.txt"),
         ("mesh.obj", [], "holds no mesh of the object; put it there as mesh.obj"),
         ("poseutils.json", [], "poseutils.json"),
-        ("", ["--views", "3"], "the folder tells the camera"),
-        ("", ["--width", "3"], "the folder tells the camera"),
-        ("", ["--tilt", "10"], "the folder tells the camera"),
+        ("", ["--views", "3"], "the folder gives the camera"),
+        ("", ["--width", "3"], "the folder gives the camera"),
+        ("", ["--tilt", "10"], "the folder gives the camera"),
         ("", ["--sensor", "stereo,baseline=5"], "give a shorter baseline"),
         ("", ["--sensor", "sonar"], "--sensor sonar"),
     ],

@@ -17,6 +17,7 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from simgen.building.verify import verify_shards
 from simgen.commands.cli import cli
+from simgen.sensors import random_fields
 from simgen.sensors import sensor as model
 from simgen.sensors.sensor import measure, sensor_generator
 from simgen.sensors.sensor_config import SENSORS, SensorConfig, kinect, parse_sensor, stereo
@@ -179,7 +180,7 @@ def test_blurs_agree_with_scipy(deviation: float) -> None:
     field = rng().standard_normal((50 + 2 * margin, 40 + 2 * margin), np.float32)
     expected = gaussian_filter(field, deviation, radius=math.ceil(3 * deviation))[margin:-margin, margin:-margin]
     total = np.ones((50, 40), np.float32)
-    model._add_blurred(field, model._taps(deviation), margin, np.float32(3.0), total)
+    random_fields._add_blurred(field, random_fields._taps(deviation), margin, np.float32(3.0), total)
     assert np.allclose(total, 1 + 3 * expected, atol=1e-5)
 
 

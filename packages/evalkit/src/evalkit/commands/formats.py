@@ -27,8 +27,8 @@ SOURCE_OPTIONS = [
     click.option("--camera-params", type=FILE, help="camera_params.txt, where it is not beside the files.  [sileane]"),
     click.option("--sensor", help="Of a set with several sensors, this one, such as cam1.  [bop]"),
     click.option("--targets", type=FILE, help="Only the images that test_targets_bop*.json lists.  [bop]"),
-    click.option("--width", type=click.IntRange(1), help="Image width where the files do not tell it.  [bop]"),
-    click.option("--height", type=click.IntRange(1), help="Image height where the files do not tell it.  [bop]"),
+    click.option("--width", type=click.IntRange(1), help="Image width where the files do not give it.  [bop]"),
+    click.option("--height", type=click.IntRange(1), help="Image height where the files do not give it.  [bop]"),
 ]
 
 

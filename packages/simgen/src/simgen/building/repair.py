@@ -22,7 +22,7 @@ def repair(folder: Path, workers: int) -> tuple[BuildReport, list[str]]:
     """Rebuild the shards of a folder that are damaged or missing; returns what was done, and warnings.
 
     Raises:
-        InputError: the folder alone does not tell how, or another build is at work in it.
+        InputError: the folder alone does not say how, or another build is at work in it.
         OSError: the folder cannot be written.
     """
     (job, header), here = job_of_dataset(folder), software_here()

@@ -29,8 +29,8 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        place = self.shard if self.frame is None else f"{self.shard}, frame {self.frame}"
-        return f"{place}: {self.sentence}"
+        where = self.shard if self.frame is None else f"{self.shard}, frame {self.frame}"
+        return f"{where}: {self.sentence}"
 
 
 @dataclass(eq=False)
@@ -100,7 +100,7 @@ def _against_dataset_file(path: Path, document: dict[str, Any], entry: dict[str,
         with ShardReader(path) as reader:
             head, scenes = reader.header, reader.scene_index
     except InputError:
-        return  # told when the shard itself is read
+        return  # reported when the shard itself is read
     for name, actual in (("camera", head.camera.to_json()), ("config", head.config), ("seed", head.seed)):
         if document.get(name) != actual:
             yield Problem(path.name, None, f"its {name} is not that of {DATASET_FILE}; use shards of one build.")
@@ -137,7 +137,7 @@ def broken_structure(path: Path | str) -> Iterator[str]:
     Raises:
         InputError: the file cannot be read.
     """
-    with ShardReader(path):  # tells of a file that is not a shard
+    with ShardReader(path):  # raises where the file is no shard
         pass
     with h5py.File(path, "r") as file:
         offset = np.asarray(file["frame_offset"])

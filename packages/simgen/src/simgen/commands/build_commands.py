@@ -139,7 +139,7 @@ def _rendered_scenes(path: Path, options: dict[str, Any]) -> Job:
     job = job_of_scenes(path)
     distances = distances_in_meters(options["distance"])
     job = plan(configured(job.config, **options), job.model, job.convex_parts, job.recorded, distances)
-    _tell(job)
+    _print_settings(job)
     return job
 
 
@@ -161,7 +161,7 @@ def _rendered_layouts(folder: Path, options: dict[str, Any]) -> Job:
 
 
 def _planned(config: BuildConfig, chosen: ObjectChoice, options: dict[str, Any]) -> Job:
-    """The job of an object and a config, told to the user."""
+    """The job of an object and a config, printed for the user."""
     from simgen.objects.prepare import prepare_object
     from simgen.scenes.plan import plan
 
@@ -170,7 +170,7 @@ def _planned(config: BuildConfig, chosen: ObjectChoice, options: dict[str, Any])
         click.echo(f"Warning: {warning}", err=True)
     job = plan(config, prepared.model, prepared.convex_parts, distances=distances_in_meters(options["distance"]))
     click.echo(prepared.summary)
-    _tell(job)
+    _print_settings(job)
     return job
 
 
@@ -194,7 +194,7 @@ def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, An
         )
     _require_renderer(config)
     job = plan(config, known.model, known.convex_parts, distances=distances_in_meters(options["distance"]))
-    _tell(job)
+    _print_settings(job)
     return job
 
 
@@ -211,7 +211,7 @@ def _require_renderer(config: BuildConfig) -> None:
         require_gl()
 
 
-def _tell(job: Job) -> None:
+def _print_settings(job: Job) -> None:
     from simgen.scenes.plan import camera_distances
 
     click.echo(job.config.describe())

@@ -139,7 +139,7 @@ def verify_command(shards: Path, repair: bool, workers: int) -> None:
 
 
 def _verified(shards: Path) -> bool:
-    """Check and tell; returns whether there are problems."""
+    """Check and print what was found; returns whether there are problems."""
     from tqdm import tqdm
 
     from simgen.building.verify import verify_shards
@@ -168,7 +168,7 @@ def _repair(shards: Path, workers: int) -> None:
 
 
 def describe_object(prepared: PreparedObject) -> dict[str, Any]:
-    """All that `simgen object` tells, as a document: lengths in millimeters, volumes in cubic centimeters."""
+    """All that `simgen object` prints, as a document: lengths in millimeters, volumes in cubic centimeters."""
     from simgen.objects.winding import signed_volume
 
     model, mesh, symmetry = prepared.model, prepared.mesh, prepared.symmetry

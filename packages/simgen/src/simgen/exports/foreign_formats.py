@@ -40,7 +40,7 @@ def export_bop(dataset: ShardDataset, out: Path, split: str, on_frames: OnFrames
     """Write `dataset` as the BOP dataset `out`, its images as one split; scenes that are complete there are kept.
 
     Args:
-        on_frames: is told how many more frames are done.
+        on_frames: called with the number of frames that were just done.
 
     Raises:
         InputError: `out` is not empty, or a frame cannot be read.
@@ -102,7 +102,7 @@ class _Silhouettes:
 
 
 def _stated(dataset: ShardDataset) -> list[str | None]:
-    """What tells one dataset from another: the sums that its shards carry."""
+    """What distinguishes one dataset from another: the checksums of its shards."""
     return [sha256_stated(path) for path in dataset.paths]
 
 

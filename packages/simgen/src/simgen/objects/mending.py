@@ -1,4 +1,4 @@
-"""What real mesh files get wrong: split, stray and repeated parts, winding, holes. Mended or at least told."""
+"""What real mesh files get wrong: split, stray and repeated parts, winding, holes. Mended, or at least reported."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def scene_bin(pile: PileConfig, size: BinSize, seed: int, scene: int) -> BinSize
 
 
 def recorded_bin(config: dict[str, Any], scene: int) -> BinSize | None:
-    """The bin of one scene, by the config that its shard carries; None where that tells of no bin."""
+    """The bin of one scene, by the config that its shard carries; None where that names no bin."""
     try:
         pile, size = PileConfig(**config["pile"]), BinSize(**config["bin"])
         return scene_bin(pile, size, config["seed"], scene)

@@ -1,4 +1,4 @@
-"""What tells datasets apart, and in which entry two of them differ."""
+"""What distinguishes datasets, and in which entry two of them differ."""
 
 from __future__ import annotations
 

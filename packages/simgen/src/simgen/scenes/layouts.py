@@ -31,7 +31,7 @@ def job_of_layouts(folder: Path) -> Job:
     """The job that renders FOLDER/gt/*.json as FOLDER/camera_params.txt sees them, an image a scene.
 
     Instances keep their order, and scenes that of their names, which the header's config lists. No walls: the folder
-    tells of none. The ground is the world's z = 0, or lower, in all scenes, where an instance of any reaches below it.
+    states none. The ground is the world's z = 0, or lower, in all scenes, where an instance of any reaches below it.
 
     Raises:
         InputError: a file is missing or is not what it should be.
@@ -70,16 +70,16 @@ def with_options(job: Job, config: BuildConfig) -> Job:
     """The job of some layouts with another sensor, renderer or packing.
 
     Raises:
-        InputError: the config has another camera or more views, which the folder tells, or the sensor does not suit.
+        InputError: the config has another camera or more views, which the folder states, or the sensor does not suit.
     """
-    told = replace(
+    allowed = replace(
         job.config,
         sensor=config.sensor, keep_ideal=config.keep_ideal, renderer=config.renderer,
         compression=config.compression, shard_scenes=config.shard_scenes,
     )  # fmt: skip
-    if told != config:
+    if allowed != config:
         raise InputError(
-            "the folder tells the camera and where it stands; leave out --camera, --width, --height, --views, "
+            "the folder gives the camera and where it stands; leave out --camera, --width, --height, --views, "
             "--tilt, --distance and --look-at-jitter."
         )
     if config.sensor is not None:

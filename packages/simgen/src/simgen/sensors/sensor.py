@@ -1,4 +1,4 @@
-"""A depth camera's error: from ideal depth to what a triangulating sensor would tell.
+"""A depth camera's error: from ideal depth to what a triangulating sensor would measure.
 
 Everything happens in disparity, focal * baseline / z, where matching makes its mistakes:
 
@@ -44,7 +44,7 @@ def sensor_generator(seed: int, scene: int, view: int) -> np.random.Generator:
 
 
 def measure(depth: Image, camera: Camera, sensor: SensorConfig, rng: np.random.Generator) -> Image:
-    """What the sensor tells of an ideal depth image.
+    """What the sensor measures of an ideal depth image.
 
     Args:
         depth: (H, W) axial meters, 0 = nothing there.
@@ -63,7 +63,7 @@ def measure(depth: Image, camera: Camera, sensor: SensorConfig, rng: np.random.G
     amount = np.array([sensor.noise_px, sensor.noise_per_slope, sensor.quantum_px])
     limits, shadow = failure_limits(sensor), np.float64(_quantile(sensor.shadow_missing))
     return np.asarray(
-        _told(disparity, to_step, shadows(disparity), wrong, noise, failure, limits, shadow, slopes, amount, scale)
+        _measured(disparity, to_step, shadows(disparity), wrong, noise, failure, limits, shadow, slopes, amount, scale)
     )
 
 
@@ -138,9 +138,9 @@ def shadows(disparity):  # type: ignore[no-untyped-def]
         leftmost = np.float32(np.inf)
         for u in range(width - 1, -1, -1):
             if disparity[v, u] > 0:
-                place = np.float32(u) - disparity[v, u]
-                out[v, u] = place >= leftmost
-                leftmost = min(leftmost, place)
+                seen_at = np.float32(u) - disparity[v, u]
+                out[v, u] = seen_at >= leftmost
+                leftmost = min(leftmost, seen_at)
     return out
 
 
@@ -180,7 +180,7 @@ def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-un
 
 
 @_compiled
-def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
+def _measured(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
     """Depth in meters (H, W) from true and wrong disparities, unit noise and where matching fails."""
     height, width = disparity.shape
     fx, fy, steepest = slopes
@@ -210,9 +210,9 @@ def _told(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slo
 
 
 @_compiled
-def _neighbors(place, count):  # type: ignore[no-untyped-def]
-    """The places before and after; at either end twice the same."""
-    before, after = place - 1, place + 1
+def _neighbors(pixel, count):  # type: ignore[no-untyped-def]
+    """The pixels before and after in a row or column; at either end twice the same."""
+    before, after = pixel - 1, pixel + 1
     if before < 0:
         before = min(after, count - 1)
     if after == count:

@@ -27,7 +27,7 @@ class SensorConfig:
         baseline: meters between the two eyes.
         noise_px: standard deviation of disparity on a surface that faces the camera.
         noise_per_slope: growth of that with the surface's slope, times (1 + this * tan(slope)).
-        quantum_px: step of the disparity that is told.
+        quantum_px: step of the measured disparity.
         smooth_missing: share of pixels without a return far from any edge; they come in blobs.
         edge_missing: share without a return right beside a step, falling by e each `edge_reach_px` pixels.
         edge_reach_px: see `edge_missing`.

@@ -1,1 +1,1 @@
-"""Who computes: processes of this machine or a Dask cluster, and the line that tells how far they are."""
+"""Who computes: processes of this machine or a Dask cluster, and the line that shows how far they are."""

@@ -56,7 +56,7 @@ def local_pool(workers: int, progress: SceneProgress) -> Iterator[Executor]:
 
 
 def count_scene(redone: int) -> None:
-    """Tell the pool's owner that a scene is done, after so many drops redone; without a pool, nobody."""
+    """Report to the pool's owner that a scene is done, after so many drops redone; nothing without a pool."""
     if _counters is not None:
         with _counters.get_lock():
             _counters[0] += 1

@@ -1,4 +1,4 @@
-"""The line that tells how far a build is: scenes, scenes a second, time left, drops redone."""
+"""The line that shows how far a build is: scenes, scenes a second, time left, drops redone."""
 
 from __future__ import annotations
 

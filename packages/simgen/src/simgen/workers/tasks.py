@@ -23,7 +23,7 @@ class Finished(Protocol):
 
 
 Result = TypeVar("Result", bound=Finished)
-Pool = Callable[[int, SceneProgress], AbstractContextManager[Executor]]  # for so many tasks, telling of scenes
+Pool = Callable[[int, SceneProgress], AbstractContextManager[Executor]]  # for so many tasks, reporting scenes
 MAX_BROKEN_POOLS = 3
 
 
@@ -34,7 +34,7 @@ def run_tasks(
     on_done: Callable[[Result], None],
     progress: SceneProgress,
 ) -> int:
-    """Run every task, tell of each as it is done, in any order; returns how many pools broke.
+    """Run every task, report each as it is done, in any order; returns how many pools broke.
 
     Raises:
         InputError: workers keep dying.

@@ -56,7 +56,7 @@ def read_ground_truth(
         visibility: in place of scene_gt_info.json; see :mod:`evalkit.adapters.visibility`.
         sensor: the camera's or modality's name in sets that have several, such as cam1.
         targets: a test_targets_bop*.json; images that it does not list are left out.
-        width, height: the images' size where neither images nor camera.json tell it.
+        width, height: the images' size where neither images nor camera.json give it.
 
     Raises:
         InputError: a file is missing or is not what it should be, or an option is needed.
