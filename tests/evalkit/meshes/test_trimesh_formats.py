@@ -132,15 +132,29 @@ def test_materials_and_textures_do_not_matter(tmp_path: Path) -> None:
     assert volume(path) == pytest.approx(8000)
 
 
-def test_step_comes_in_meters_whatever_its_unit(tmp_path: Path) -> None:
+def test_step_comes_in_meters_whatever_its_unit() -> None:
     pytest.importorskip("cascadio")
     mesh = read_file_mesh(STEP_BOX)
     assert mesh.unit == "m"
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), np.array([1.5, 1.0, 0.5]) * 0.0254, rtol=1e-6)
     assert volume(STEP_BOX) == pytest.approx(0.75 * 0.0254**3, rel=1e-6)
-    (tmp_path / "bad.stp").write_text("ISO-10303-21;\nnothing\n")
-    with pytest.raises(InputError, match=r"bad\.stp"):
-        read_mesh(tmp_path / "bad.stp")
+
+
+def test_damaged_step_files_are_refused_or_read_and_nothing_is_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("cascadio")
+    whole, rng = STEP_BOX.read_bytes(), np.random.default_rng(0)
+    for trial in range(4):
+        damaged = bytearray(whole[: len(whole) // (1 + trial % 2)])
+        for i in rng.integers(0, len(damaged), 60 * trial):
+            damaged[i] = int(rng.integers(32, 127))
+        (tmp_path / "bad.stp").write_bytes(bytes(damaged))
+        try:
+            assert np.isfinite(read_mesh(tmp_path / "bad.stp")[0]).all()
+        except InputError as error:
+            assert "bad.stp" in str(error)
+    assert "".join(capfd.readouterr()) == ""
 
 
 def test_step_without_its_extra_gets_the_line_to_type(monkeypatch: pytest.MonkeyPatch) -> None:

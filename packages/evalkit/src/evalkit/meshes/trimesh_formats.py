@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import re
+import subprocess
+import sys
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -63,9 +66,14 @@ def read_step(data: bytes, path: Path) -> Mesh:
     """
     if find_spec("cascadio") is None:
         raise MeshFileError(f"reading STEP needs an extra: {PIP_CASCADIO}; or export the part as STL")
-    if not data.lstrip().startswith(b"ISO-10303-21"):  # the library behind would say so on the terminal
-        raise MeshFileError("it does not begin as STEP files do")
-    return _load(data, "step")
+    with tempfile.TemporaryDirectory(prefix="binpose-step-") as folder:
+        step_file, glb_file = Path(folder) / "part.step", Path(folder) / "part.glb"
+        step_file.write_bytes(data)
+        command = [sys.executable, "-m", "evalkit.meshes.step_process", str(step_file), str(glb_file)]
+        subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True)
+        if not glb_file.is_file():
+            raise MeshFileError("it cannot be read as STEP, or holds no solids or surfaces")
+        return _load(glb_file.read_bytes(), "glb")
 
 
 def _load(data: bytes, kind: str, path: Path | None = None) -> Mesh:
