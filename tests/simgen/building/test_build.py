@@ -209,7 +209,7 @@ def run(*arguments: str) -> Result:
         (["--instances", "500", "--bin", "0.2x0.2x0.1"], "500 instances of 'bunny' do not fit"),
         (["--width", "0"], "0 x 120 pixels"),
         (["--camera", "nowhere.json"], "nowhere.json does not exist"),
-        (["--camera", __file__], "not a JSON file"),
+        (["--camera", __file__], "holds no camera"),
         (["--compression", "lzma"], "--compression lzma"),
         (["--camera", "aside"], "principal point (500, 29.5) lies outside the image"),
         (["--camera", "wide"], "pixels across"),
