@@ -82,8 +82,8 @@ def deviation(surface: Surface, symmetry: Symmetry, points: Array) -> tuple[Arra
 
 
 def noise_stretch(surface: Surface) -> float:
-    """What noise stretches the tolerances of a turn with a lever of one by."""
-    return float(np.clip(NOISE_LEVERS * surface.roughness, 1.0, MOST_STRETCHED))
+    """What noise stretches the tolerances of sight by: more than those of distances, for outlines show its peaks."""
+    return float(np.clip(4 * NOISE_LEVERS * surface.roughness, 1.0, 2.0))
 
 
 def _lever(symmetry: Symmetry, elements: Array, points: Array) -> Array:
