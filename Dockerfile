@@ -16,9 +16,10 @@ RUN apt-get update \
 USER 1000
 WORKDIR /home/binpose/binpose
 
-# PyTorch's builds for the CPU take a tenth of the space; for a GPU: --build-arg TORCH_INDEX=https://pypi.org/simple
-ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
-ENV PIP_EXTRA_INDEX_URL=$TORCH_INDEX PIP_NO_CACHE_DIR=1
+# PyTorch's builds for the CPU take a tenth of the space of those for a GPU: --build-arg PIP_EXTRA_INDEX_URL=… with the
+# index of CPU builds that PyTorch's installation page names.
+ARG PIP_EXTRA_INDEX_URL=
+ENV PIP_EXTRA_INDEX_URL=$PIP_EXTRA_INDEX_URL PIP_NO_CACHE_DIR=1
 
 COPY --chown=binpose:binpose . .
 RUN make install REQUIREMENTS=

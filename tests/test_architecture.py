@@ -48,7 +48,6 @@ FLOORS = {  # from the ground up; a room imports rooms of lower floors only
         ["commands"],
     ],
 }
-TO_RENAME = {"build"}  # two things each, until they are renamed
 THEIRS = {"gl_renderer.py": {"_renderer"}}  # of pyrender's offscreen renderer
 NAMED_TUPLES = ("_asdict", "_fields", "_make", "_replace")  # public, whatever their names say
 
@@ -185,7 +184,7 @@ def test_no_folder_is_fuller_than_a_reader_overlooks() -> None:
 def test_a_file_name_means_one_thing() -> None:
     names = Counter(source.stem for package in PACKAGES for source in sources(package))
     twice = {name for name, count in names.items() if count > 1}
-    assert twice - set(ONE_MEANING) <= TO_RENAME
+    assert twice <= set(ONE_MEANING)
 
 
 def rooms_imported(package: str) -> dict[str, set[str]]:

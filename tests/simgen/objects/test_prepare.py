@@ -81,6 +81,24 @@ def test_built_in_objects_need_no_file_and_give_no_warning(name: str) -> None:
     assert prepared.mesh.is_watertight
 
 
+def test_a_file_that_is_not_here_is_the_built_in_object_of_its_name_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    prepared = prepare_object("gear.ply")
+    assert prepared.model.diameter == prepare_object("gear").model.diameter
+    assert any("the built-in object 'gear' is taken" in warning for warning in prepared.warnings)
+    Path("gear.stl").write_bytes(Path(brick_file(tmp_path)).read_bytes())
+    assert not any("built-in" in warning for warning in prepare_object("gear.stl").warnings)
+
+
+@pytest.mark.parametrize("source", ["parts/gear.ply", "gear.txt", "wheel.ply"])
+def test_a_path_that_leads_nowhere_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        prepare_object(source)
+
+
 def test_an_object_is_named_by_its_file_or_as_asked(tmp_path: Path) -> None:
     path = brick_file(tmp_path)
     assert prepare_object(path).model.name == Path(path).stem

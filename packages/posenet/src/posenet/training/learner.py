@@ -14,8 +14,8 @@ from posenet.layers.mean import Mean
 from posenet.network import losses
 from posenet.network.pose_network import PoseNetwork
 from posenet.network.targets import Batch
-from posenet.optimizers.build import build_optimizers
 from posenet.optimizers.ema import WeightAverage
+from posenet.optimizers.make import build_optimizers
 from posenet.optimizers.schedule import learning_rate_factor
 from posenet.training.rank import Rank
 

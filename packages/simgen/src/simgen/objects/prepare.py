@@ -105,11 +105,13 @@ def _outside(model: ObjectModel) -> NDArray[np.int64]:
 
 
 def _existing(source: str) -> tuple[str, list[str]]:
-    """The source; where it is a mesh file that is not there, the built-in object of its name, and a sentence on it."""
+    """The source; where it names a mesh file that is not here, the built-in object of that name, and a sentence on it.
+
+    A path with a folder in it was meant as a path: its file is missed, not replaced.
+    """
     path = Path(source)
-    if source in BUILTIN_OBJECTS or path.exists() or path.stem not in BUILTIN_OBJECTS:
-        return source, []
-    if path.suffix.lower().lstrip(".") not in FORMATS:
+    named = path.stem in BUILTIN_OBJECTS and path.name == source and path.suffix.lower().lstrip(".") in FORMATS
+    if not named or path.exists():
         return source, []
     return path.stem, [
         f"{source}: no such file, so the built-in object '{path.stem}' is taken; check the path if not meant."
