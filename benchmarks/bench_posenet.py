@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from posenet.optimizers.build import build_optimizers
 from torch.optim import Optimizer
 
 from evalkit.geometry.camera import Camera
@@ -32,6 +31,7 @@ from posenet.device import supports_bf16
 from posenet.network import losses
 from posenet.network.pose_network import PoseNetwork
 from posenet.network.targets import Batch
+from posenet.optimizers.make import build_optimizers
 from posenet.refinement.refiner import Refiner
 from posenet.training.dataset import Frames
 
