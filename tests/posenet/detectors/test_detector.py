@@ -85,7 +85,7 @@ def test_a_detector_learns_to_find_rectangles_and_to_leave_an_empty_image_empty(
     trunk = build_backbone("vgg_debug", 3)
     head = detector(kind)
     parameters = [*trunk.parameters(), *head.parameters()]
-    steps = 80
+    steps = 120  # with 80 it depends on the CPU whether one false box is left
     optimizer = torch.optim.AdamW(parameters)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps)
     for _ in range(steps):

@@ -240,8 +240,13 @@ def test_predictions_are_written_as_bops_results_with_the_object_numbered_by_the
 
     predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
     predict(run_folder, debug_shards, tmp_path / "results.csv", device="cpu", max_images=2, object_id=7)
-    ours = {image.id: image for image in read_predictions(tmp_path / "preds.json").images if len(image.score)}
-    theirs = {image.id: image for image in results.read_predictions(tmp_path / "results.csv", object_id=7).images}
+    ours, theirs = (
+        {tuple(map(int, image.id.split("-"))): image for image in found.images if len(image.score)}  # scene, image
+        for found in (
+            read_predictions(tmp_path / "preds.json"),
+            results.read_predictions(tmp_path / "results.csv", object_id=7),
+        )
+    )
     assert ours and set(ours) == set(theirs)
     for name, image in ours.items():
         np.testing.assert_allclose(theirs[name].cam_from_obj, image.cam_from_obj, atol=1e-9)
