@@ -43,9 +43,10 @@ def distance(symmetry: Symmetry, model: ObjectModel, first: np.ndarray, second: 
 
 
 def symmetric_model(symmetry: Symmetry) -> ObjectModel:
-    """An object whose covariance obeys the symmetry: an uneven cloud of triangles and all its copies."""
+    """An object whose covariance obeys the symmetry: small triangles, none hidden by another, and all their copies."""
     rng = np.random.default_rng(1)
-    corners = rng.normal([0.5, 0.2, 0.1], 1.0, (10, 3, 3))
+    middles = rng.normal([0.5, 0.2, 0.1], 1.0, (10, 1, 3))
+    corners = middles / np.linalg.norm(middles, axis=-1, keepdims=True) + rng.normal(0.0, 0.03, (10, 3, 3))
     copies = np.einsum("gij,fkj->gfki", symmetry.elements(steps=12), corners).reshape(-1, 3)
     return ObjectModel.from_mesh("cloud", copies, np.arange(len(copies)).reshape(-1, 3), symmetry)
 

@@ -95,7 +95,7 @@ def test_a_sound_dataset_is_left_alone(copy: Path) -> None:
     [
         (lambda d: d["config"].update(geometry_sha256="0" * 64), "come out differently here"),
         (lambda d: d["config"].update(layouts={"format": "sileane"}), "its scenes were not simulated here"),
-        (lambda d: d["config"].pop("views"), "'views' is not as this version has it"),
+        (lambda d: d["config"].pop("views"), "the field 'views' is missing"),
     ],
 )
 def test_what_the_folder_alone_cannot_mend_is_said(copy: Path, spoil: Callable[[dict], object], sentence: str) -> None:

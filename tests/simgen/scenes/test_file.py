@@ -179,7 +179,7 @@ def test_every_flipped_bit_and_every_cut_is_found(scenes: Path, tmp_path: Path) 
         (lambda file: file["instances"].write_direct(np.array([1, 1, 10**6], np.int32)), "do not fit together"),
         (lambda file: file["translation"].write_direct(np.full(file["translation"].shape, np.nan)), "not rigid"),
         (lambda file: file["correction"].write_direct(np.full(file["correction"].shape, 1 << 60)), "not rigid"),
-        (lambda file: _change_config(file, views=None), "'views' is not of type int"),
+        (lambda file: _change_config(file, views=None), "config.views: expected int, got null"),
         (lambda file: _change_config(file, scenes=7), "holds 3 of 7 scenes"),
         (lambda file: file.__delitem__("object/faces"), "damaged or incomplete"),
         (lambda file: file.attrs.__setitem__("object", "{}"), "the field"),

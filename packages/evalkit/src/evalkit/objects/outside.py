@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from evalkit.geometry import poses
 from evalkit.objects.depth_views import DepthViews, sphere_directions
@@ -78,6 +76,9 @@ def _bodies(vertices: Array, faces: NDArray[np.integer]) -> tuple[NDArray[np.int
 
     Vertices of the unit cube at one place count as one: STL files repeat each for every face.
     """
+    from scipy.sparse import coo_matrix  # slow to import, and scoring needs none of this
+    from scipy.sparse.csgraph import connected_components
+
     cells = np.clip(np.rint(vertices * (CELLS - 1)), 0, CELLS - 1).astype(np.int64)
     _, welded = np.unique((cells[:, 0] * CELLS + cells[:, 1]) * CELLS + cells[:, 2], return_inverse=True)
     welded_faces = welded.reshape(-1)[faces]
