@@ -9,8 +9,8 @@ import torch
 
 from evalkit.datasets.shard_folder import ShardDataset
 from posenet.detectors.base import DetectionLimits
-from posenet.detectors.build import greatest_density
 from posenet.detectors.heatmap import HeatmapDetector, HeatmapOutputs
+from posenet.detectors.limits import greatest_density
 from posenet.models.model_file import load_model
 from posenet.network import pose_network
 from posenet.network.depth_input import intrinsics_of

@@ -17,7 +17,7 @@ from posenet.coding.pose_codec import PoseCodec
 from posenet.coding.sym_distance import SymDistance
 from posenet.config import Config
 from posenet.detectors.base import DetectionLimits, Detections
-from posenet.detectors.build import build_detector
+from posenet.detectors.limits import build_detector
 from posenet.layers.mean import Mean
 from posenet.layers.ops import roi_align
 from posenet.network import depth_input, hypotheses, losses, targets
