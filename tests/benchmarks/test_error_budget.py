@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -16,18 +12,13 @@ from evalkit.objects.model import ObjectModel
 from posenet.coding.class_bins import Bins
 from posenet.prediction.predictor import PredictedPoses, Predictor
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 CORNERS = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 @pytest.fixture(scope="module")
-def budget():
-    spec = importlib.util.spec_from_file_location("error_budget", BENCHMARKS / "error_budget.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["error_budget"] = module
-    spec.loader.exec_module(module)
-    return module
+def budget(load_benchmark):
+    return load_benchmark("error_budget")
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +64,8 @@ def test_true_ranking_puts_one_right_hypothesis_an_instance_first(budget):
     model = ObjectModel.from_mesh("wedge", CORNERS, FACES)
     truth = poses.from_rotation_translation(np.eye(3), [[0.0, 0, 1], [0.3, 0, 1]])
     shifts = [[0.004, 0, 1], [0.002, 0, 1], [0.3, 0.001, 1], [0.9, 0, 1]]
-    found = PredictedPoses(
-        poses.from_rotation_translation(np.eye(3), shifts), np.array([0.9, 0.5, 0.1, 0.8]), np.zeros((4, 4)), 0.0
-    )
+    cam_from_obj, score = poses.from_rotation_translation(np.eye(3), shifts), np.array([0.9, 0.5, 0.1, 0.8])
+    found = PredictedPoses(cam_from_obj, score, boxes=np.zeros((4, 4)), detection=np.arange(4), time_s=0.0)
     ranked = budget.ranked_by_truth(found, truth, model)
     np.testing.assert_allclose(ranked.score, [0.9, 1.5, 1.1, 0.8])  # the nearer of two to an instance; the far one not
 
