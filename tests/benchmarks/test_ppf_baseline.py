@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,16 +9,10 @@ from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.geometry import poses
 from posenet.refinement.refiner import Refiner
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
 
 @pytest.fixture(scope="module")
-def baseline():
-    spec = importlib.util.spec_from_file_location("ppf_baseline", BENCHMARKS / "ppf_baseline.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["ppf_baseline"] = module
-    spec.loader.exec_module(module)
-    return module
+def baseline(load_benchmark):
+    return load_benchmark("ppf_baseline")
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +47,9 @@ def test_many_raw_hypotheses_become_one_fitted_pose_an_instance(baseline, view, 
     assert (apart.min(0) < 0.003).all()
 
 
-def test_the_poses_of_the_votes_are_meters_again_whatever_unit_they_were_found_in(monkeypatch):
+def test_the_poses_of_the_votes_are_meters_again_whatever_unit_they_were_found_in(monkeypatch, load_benchmark):
     pytest.importorskip("cv2")
-    spec = importlib.util.spec_from_file_location("ppf_voting", BENCHMARKS / "ppf_voting.py")
-    voting = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(voting)
+    voting = load_benchmark("ppf_voting")
 
     class Result:
         numVotes = 7  # noqa: N815 - OpenCV's name

@@ -37,17 +37,23 @@ def test_recall_at_precision_is_zero_where_the_precision_is_never_reached():
     assert [steps.recall_at_precision(p) for p in (0.95, 0.8, 0.2)] == [0.0, 0.3, 0.5]
 
 
-def test_means_over_images_are_taken_at_every_score_of_any_image(plain_model):
+def false_alarm_first(model):
+    """One instance in each of two images; in the first a false hypothesis scores above the true one."""
     one = np.eye(4)[None]
     far = one + 5 * np.eye(4)[2][:, None] * np.eye(4)[3]
-    truth = GroundTruth(plain_model, [GroundTruthImage(name, None, one, np.ones(1)) for name in "ab"])
+    truth = GroundTruth(model, [GroundTruthImage(name, None, one, np.ones(1)) for name in "ab"])
     predictions = Predictions(
-        plain_model.name,
+        model.name,
         [
             PredictionImage("a", np.concatenate([far, one]), np.array([0.9, 0.6])),
             PredictionImage("b", one, np.array([0.7])),
         ],
     )
+    return predictions, truth
+
+
+def test_means_over_images_are_taken_at_every_score_of_any_image(plain_model):
+    predictions, truth = false_alarm_first(plain_model)
     found = average_precision(predictions, truth)
     assert found.curve.score.tolist() == [0.9, 0.7, 0.6]
     assert found.curve.precision.tolist() == [0.5, 0.5, 0.75]  # b has precision 1 before its first hypothesis
@@ -57,16 +63,7 @@ def test_means_over_images_are_taken_at_every_score_of_any_image(plain_model):
 
 
 def test_the_coco_curve_pools_all_images(plain_model):
-    one = np.eye(4)[None]
-    far = one + 5 * np.eye(4)[2][:, None] * np.eye(4)[3]
-    truth = GroundTruth(plain_model, [GroundTruthImage(name, None, one, np.ones(1)) for name in "ab"])
-    predictions = Predictions(
-        plain_model.name,
-        [
-            PredictionImage("a", np.concatenate([far, one]), np.array([0.9, 0.6])),
-            PredictionImage("b", one, np.array([0.7])),
-        ],
-    )
+    predictions, truth = false_alarm_first(plain_model)
     found = average_precision(predictions, truth, protocol="coco")
     assert found.curve.precision.tolist() == pytest.approx([0.0, 0.5, 2 / 3])
     assert found.curve.recall.tolist() == [0.0, 0.5, 1.0]
