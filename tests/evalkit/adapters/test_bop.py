@@ -206,7 +206,7 @@ def test_without_a_mesh_the_box_stands_in_and_it_is_said(split):
     assert any("box" in remark for remark in truth.remarks)
 
 
-@pytest.mark.parametrize("size", [1e155, 0.06, "wide"])
+@pytest.mark.parametrize("size", [1e155, 0.06, -3e157, -60.0, "wide"])
 def test_a_box_of_no_parts_size_is_refused(split, size):
     (split.parent / "models" / "obj_000001.ply").unlink()
     edit(split.parent / "models" / "models_info.json", lambda d: d["1"].update(size_x=size, size_y=size, size_z=size))

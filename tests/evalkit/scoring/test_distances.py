@@ -97,21 +97,21 @@ def test_the_toolbox_distance_is_the_right_one_where_the_frames_agree():
     np.testing.assert_allclose(SymToolbox(aligned)(a, b), Sym(aligned)(a, b), rtol=1e-9)
 
 
-def test_add_is_the_mean_motion_of_the_points():
+def test_add_is_the_mean_motion_of_the_vertices():
     rng = np.random.default_rng(6)
     model = bar()
     a, b = random_poses(rng, 10), random_poses(rng, 10)
     for k, distance in enumerate(Add(model)(a, b)):
-        motion = poses.apply(a[k], model.points) - poses.apply(b[k], model.points)
+        motion = poses.apply(a[k], model.vertices) - poses.apply(b[k], model.vertices)
         assert distance == pytest.approx(np.linalg.norm(motion, axis=1).mean(), rel=1e-12)
 
 
-def test_adds_is_the_mean_distance_of_true_points_to_the_nearest_estimated_one():
+def test_adds_is_the_mean_distance_of_true_vertices_to_the_nearest_estimated_one():
     rng = np.random.default_rng(7)
     model = bar()
     a, b = random_poses(rng, 5), random_poses(rng, 5)
     for k, distance in enumerate(AddS(model)(a, b)):
-        estimated, true = poses.apply(a[k], model.points), poses.apply(b[k], model.points)
+        estimated, true = poses.apply(a[k], model.vertices), poses.apply(b[k], model.vertices)
         table = np.linalg.norm(true[:, None] - estimated[None], axis=-1)
         assert distance == pytest.approx(table.min(1).mean(), rel=1e-9)
 

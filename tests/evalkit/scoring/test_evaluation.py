@@ -189,6 +189,24 @@ def test_documents_that_do_not_belong_together_are_refused(plain_model, make_cro
 
 
 @pytest.mark.parametrize(
+    ("predicted", "true", "agree"),
+    [
+        ("gear", "gear", True), ("gear", "", True), ("", "gear", True), ("", "", True),
+        ("gear", "bolt", False), ("obj_000001", "obj_000002", False), ("obj_000001", "gear", True),
+        ("gear", "obj_000007", True),
+    ],
+)  # fmt: skip
+def test_only_names_that_were_stated_and_differ_refuse_a_pair(plain_model, make_crowd, predicted, true, agree):
+    predictions, truth = make_crowd(plain_model, 0)
+    pair = replace(predictions, object=predicted), replace(truth, object=replace(truth.object, name=true))
+    if agree:
+        average_precision(*pair)
+    else:
+        with pytest.raises(InputError, match=f"'{predicted}'.*'{true}'"):
+            average_precision(*pair)
+
+
+@pytest.mark.parametrize(
     "settings",
     [
         {"criterion": "iou"}, {"protocol": "voc"}, {"threshold": 0.0}, {"threshold": float("nan")},

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -68,7 +69,7 @@ def read_ground_truth(
     if mesh is None:
         raise InputError(f"{folder}: IPA's ground truth carries no model; give --mesh and --units.")
     view = read_camera(_parameter_file(folder)) if camera is None else Camera.load(camera)
-    model = load_object(mesh, units, symmetry, object_name)
+    model = replace(load_object(mesh, units, symmetry), name=object_name or "")  # the format names no object
     images = []
     for name, path in files.items():
         cam_from_obj, visibility = _read_table(path)

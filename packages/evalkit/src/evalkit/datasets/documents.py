@@ -145,7 +145,7 @@ def read_predictions(path: Path | str) -> Predictions:
 
 def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
     """Write a gt.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
-    head = {"format": GT_FORMAT, "frame": truth.frame, "object": truth.object.to_json()}
+    head = {"format": GT_FORMAT, "frame": truth.frame, "object": _object_document(truth.object)}
     lines = (
         {
             "id": image.id,
@@ -165,6 +165,11 @@ def write_predictions(path: Path | str, predictions: Predictions) -> None:
         for image in predictions.images
     )
     _write(path, head, lines)
+
+
+def _object_document(model: ObjectModel) -> dict[str, Any]:
+    """With the mesh's vertices, all digits of them: ADD, MSSD and their kin run over these, wherever the file goes."""
+    return model.to_json() | {"vertices": None if model.vertices is None else model.finite_vertices.tolist()}
 
 
 def _read(path: Path | str, layout: Layout) -> dict[str, Any]:

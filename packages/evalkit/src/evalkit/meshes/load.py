@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.atomic import sha256_of_file
-from evalkit.meshes.read import read_file_mesh, read_mesh
+from evalkit.meshes.read import FileMesh, read_file_mesh, read_mesh
 from evalkit.meshes.units import METERS, check_size, decide_units
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry_detection import resolve_symmetry
@@ -33,6 +33,8 @@ def load_object(
             not known.
     """
     mesh = read_file_mesh(path)
+    if path.suffix.lower() == ".stl":
+        mesh = _with_shared_corners(mesh)
     largest_side = float(np.ptp(mesh.vertices[np.unique(mesh.faces)], axis=0).max())
     extension = path.suffix.lower().lstrip(".")
     unit, reason, warnings = decide_units(units or "auto", largest_side, extension, str(path), mesh.unit)
@@ -44,3 +46,9 @@ def load_object(
     group = resolve_symmetry(vertices, mesh.faces, symmetry or "auto").symmetry
     notes = {"mesh": path.name, "mesh_sha256": sha256_of_file(path), "units": unit}
     return ObjectModel.from_mesh(name or path.stem, vertices, mesh.faces, group, **notes)
+
+
+def _with_shared_corners(mesh: FileMesh) -> FileMesh:
+    """STL gives every facet corners of its own: those in one place become one vertex, as other formats have it."""
+    vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return FileMesh(vertices, index.reshape(-1)[mesh.faces], mesh.unit)

@@ -31,8 +31,9 @@ class ObjectModel:
         lam: (3, 3) square root of the area-weighted surface covariance, in the inertial frame.
         symmetry: proper symmetry group, in the object's frame, about the centroid.
         threshold: a pose within this Sym distance of the truth counts as true.
-        points: (n, 3) a fixed, area-weighted sample of the surface, for ADD and its kin.
-        vertices, faces: (V, 3) and (F, 3) the mesh, where it is at hand; made by :meth:`from_mesh`, its outside.
+        points: (n, 3) a fixed, area-weighted sample of the surface.
+        vertices: (V, 3) all vertices of the mesh, where they are known.
+        faces: (F, 3) the mesh's triangles, where they are known; made by :meth:`from_mesh`, those seen from outside.
     """
 
     name: str
@@ -99,6 +100,12 @@ class ObjectModel:
         return self.vertices, self.faces
 
     @cached_property
+    def finite_vertices(self) -> Array:
+        """The vertices (n, 3) without those that are no numbers, which a file may hold as long as no face uses them."""
+        vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
+        return vertices[np.isfinite(vertices).all(-1)]
+
+    @cached_property
     def lam_in_obj(self) -> Array:
         """Lambda (3, 3) with its axes in the object's frame, as the geometrically right Sym distance wants it."""
         turn = self.inertial_from_obj[:3, :3]
@@ -117,7 +124,7 @@ class ObjectModel:
         return replace(self, symmetry=symmetry)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the mesh."""
+        """Everything but the mesh; gt.json adds its vertices."""
         return {
             "name": self.name or None,
             "diameter": self.diameter,
@@ -132,7 +139,7 @@ class ObjectModel:
 
     @classmethod
     def from_json(cls, document: Any, where: str = "object") -> ObjectModel:
-        """Read what :meth:`to_json` writes.
+        """Read what :meth:`to_json` writes, with "vertices" where they are given.
 
         Raises:
             InputError: a field is missing, of the wrong shape, or not finite.
@@ -145,7 +152,10 @@ class ObjectModel:
         diameter, threshold = (float(_numbers(document, key, (), where)) for key in ("diameter", "threshold"))
         if diameter <= 0 or threshold <= 0:
             raise InputError(f"{where}: 'diameter' and 'threshold' must be positive meters.")
-        points = None if document.get("points") is None else _numbers(document, "points", (-1, 3), where)
+        points, vertices = (
+            None if document.get(key) is None else _numbers(document, key, (-1, 3), where)
+            for key in ("points", "vertices")
+        )
         notes = document.get("notes")
         return cls(
             name=str(document.get("name") or ""),
@@ -156,6 +166,7 @@ class ObjectModel:
             symmetry=Symmetry.from_json(document.get("symmetry"), f"{where}: symmetry"),
             threshold=threshold,
             points=points,
+            vertices=vertices,
             notes=notes if isinstance(notes, dict) else {},
         )
 

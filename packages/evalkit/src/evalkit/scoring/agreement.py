@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from evalkit.datasets.documents import GroundTruth, Predictions
 from evalkit.errors import InputError
 from evalkit.objects.model import ObjectModel
 
+BOP_NUMBER = re.compile(r"obj_\d+")
 DIAMETER_TOLERANCE = 0.01  # of the diameter: two libraries' readings of one mesh agree far better, two units never
 IMPLAUSIBLE_RATIO = 100.0  # a hypothesis this many times farther than every instance is in another unit
 
@@ -20,8 +23,7 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
         InputError: they do not; the sentence names both files.
     """
     where = f"{predictions.source}: "
-    names = predictions.object_name, truth.object.name
-    if all(names) and names[0] != names[1]:
+    if _are_of_different_objects(predictions.object_name, truth.object.name):
         raise InputError(
             f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
             "where they are one, give it one name: 'evalkit gt --object NAME', or 'simgen build --name NAME'."
@@ -42,6 +44,12 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
     if unknown is not None:
         raise InputError(f"{where}image '{unknown}' is not in {truth.source}; use the ground truth of the same images.")
     _require_same_unit(predictions, truth)
+
+
+def _are_of_different_objects(name: str, other: str) -> bool:
+    """Whether both names were stated and differ; BOP's number of an object says nothing against a name."""
+    is_number = [BOP_NUMBER.fullmatch(one) is not None for one in (name, other)]
+    return bool(name and other) and name != other and is_number[0] == is_number[1]
 
 
 def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:

@@ -2,7 +2,7 @@
 
 Hodaň et al. 2020, "BOP Challenge 2020 on 6D object localization", section 2.2. Continuous symmetries are sampled as
 there: the point farthest from the axis travels at most a hundredth of the diameter between samples. A sphere's are
-taken exactly. The model's points are the mesh's vertices where the mesh is at hand, else the object's sample.
+taken exactly.
 
 For each pair, a few far-apart points bound every symmetric candidate from below; only candidates whose bound is below
 the best one's true value are computed in full, so the minimum is exact.
@@ -10,16 +10,12 @@ the best one's true value are computed in full, so the minimum is exact.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.errors import InputError
 from evalkit.geometry import poses
-
-if TYPE_CHECKING:
-    from evalkit.objects.model import ObjectModel
+from evalkit.objects.model import ObjectModel
+from evalkit.scoring.model_points import model_points
 
 Array = NDArray[np.float64]
 SYMMETRY_STEPS = 315  # ceil(pi / 0.01), BOP's max_sym_disc_step
@@ -34,7 +30,7 @@ class Mssd:
     def __init__(self, model: ObjectModel, limit: float = np.inf) -> None:
         """Distances above `limit` may come out as any value between `limit` and the true one."""
         self.limit = limit
-        self.model_points = _convex_hull(_surface_points(model, "mssd"))  # a convex function is largest there
+        self.model_points = _convex_hull(model_points(model, "mssd"))  # a convex function is largest there
         self.mean = self.model_points.mean(0)
         self.few = spread_points(self.model_points, BOUND_POINTS)
         self.model = model
@@ -93,7 +89,7 @@ class Mspd(Mssd):
 
     def __init__(self, model: ObjectModel, limit: float = np.inf) -> None:
         super().__init__(model, limit)
-        self.model_points = _surface_points(model, "mspd")  # the projection's displacement is not convex
+        self.model_points = model_points(model, "mspd")  # the projection's displacement is not convex
         self.few = spread_points(self.model_points, BOUND_POINTS)
         self.slack = np.inf  # no point in space bounds a distance in the image
 
@@ -126,16 +122,6 @@ def _project(pose: Array, points: Array, intrinsics: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(z > 0, z, np.nan)
         return np.stack([fx * x / depth + cx, fy * y / depth + cy], -1)
-
-
-def _surface_points(model: ObjectModel, criterion: str) -> Array:
-    points = model.points if model.vertices is None or model.faces is None else model.vertices[np.unique(model.faces)]
-    if points is None or len(points) == 0:
-        raise InputError(
-            f"object '{model.title}' carries no 'points', which --criterion {criterion} needs; "
-            "write gt.json from shards or with the mesh at hand, or use --criterion sym."
-        )
-    return points
 
 
 def _convex_hull(points: Array) -> Array:

@@ -17,6 +17,7 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.objects.model import THRESHOLD_RATIO, ObjectModel
 from evalkit.scoring.bop_distances import REFERENCE_WIDTH, Mspd, Mssd
+from evalkit.scoring.model_points import describe_points, model_points
 
 Array = NDArray[np.float64]
 BLOCK_NUMBERS = 4_000_000  # float64 numbers held at once: 32 MB
@@ -93,7 +94,7 @@ class Add:
     slack = 0.0
 
     def __init__(self, model: ObjectModel) -> None:
-        self.model_points = _model_points(model, "add")
+        self.model_points = model_points(model, "add")
 
     def points(self, cam_from_obj: Array) -> Array:
         return poses.apply(cam_from_obj, self.model_points.mean(0)[None])[:, 0]
@@ -112,7 +113,7 @@ class AddS:
     def __init__(self, model: ObjectModel) -> None:
         from scipy.spatial import cKDTree  # slow to import, and no other criterion needs it
 
-        self.model_points = _model_points(model, "adds")
+        self.model_points = model_points(model, "adds")
         self.center = self.model_points.mean(0)
         self.tree = cKDTree(self.model_points)
         self.slack = float(np.linalg.norm(self.model_points - self.center, axis=1).max())
@@ -137,20 +138,24 @@ class Criterion:
     words: str
     threshold: float  # the default
     in_pixels: bool = False
+    over_points: bool = True  # whether it runs over model points
 
     def limit(self, threshold: float, model: ObjectModel) -> float:
         """The threshold in meters (or pixels), from one in diameters (or pixels)."""
         return threshold if self.in_pixels else threshold / THRESHOLD_RATIO * model.threshold
 
     def describe(self, threshold: float, model: ObjectModel) -> str:
+        words = f"{self.words}, {describe_points(model)}" if self.over_points else self.words
         if self.in_pixels:
-            return f"{self.words}, at most {threshold:g} px of an image {REFERENCE_WIDTH} px wide"
+            return f"{words}, at most {threshold:g} px of an image {REFERENCE_WIDTH} px wide"
         limit_mm = 1000 * self.limit(threshold, model)
-        return f"{self.words}, at most {threshold:g} diameters = {limit_mm:.4g} mm"
+        return f"{words}, at most {threshold:g} diameters = {limit_mm:.4g} mm"
 
 
 CRITERIA = {
-    "sym": Criterion("Sym", "Sym, root mean square motion of the surface modulo the object's symmetry", 0.1),
+    "sym": Criterion(
+        "Sym", "Sym, root mean square motion of the surface modulo the object's symmetry", 0.1, over_points=False
+    ),
     "add": Criterion("ADD", "ADD, mean distance of corresponding model points (no symmetry is respected)", 0.1),
     "adds": Criterion("ADD-S", "ADD-S, mean distance of model points to the nearest estimated one", 0.1),
     "mssd": Criterion("MSSD", "MSSD, largest motion of a model point modulo the object's symmetry", 0.1),
@@ -186,15 +191,6 @@ def sym_distance(model: ObjectModel, pose_a: ArrayLike, pose_b: ArrayLike) -> Ar
 def _nearest_representative(estimate: Array, truth: Array) -> Array:
     """Representatives (n, m, d) and (n, m, d) to distances (n,); any one of the second will do."""
     return np.asarray(np.linalg.norm(estimate - truth[:, :1], axis=-1).min(-1))
-
-
-def _model_points(model: ObjectModel, criterion: str) -> Array:
-    if model.points is None or len(model.points) == 0:
-        raise InputError(
-            f"object '{model.title}' carries no 'points', which --criterion {criterion} needs; "
-            "write gt.json from shards or with the mesh at hand, or use --criterion sym."
-        )
-    return model.points
 
 
 def _in_blocks(function: Callable[[Array, Array], Array], estimate: Array, truth: Array, numbers_a_row: int) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.fields import numbers
+from evalkit.datasets.pose_rows import FARTHEST
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.json_file import load_json
@@ -104,6 +105,8 @@ def _box(name: str, info: dict[str, Any], where: str) -> ObjectModel:
     """The bounding box; without points, for it says nothing about the surface."""
     low = np.array([float(numbers(info, f"min_{axis}", (), where)) for axis in "xyz"]) * METERS
     size = np.array([float(numbers(info, f"size_{axis}", (), where)) for axis in "xyz"]) * METERS
+    if (size < 0).any() or (np.abs(low) > FARTHEST).any():
+        raise InputError(f"{where}: its 'min' and 'size' are no box in millimeters; mend them, or give --mesh.")
     corners = low + size * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     check_size(float(size.max()), f"{where}: the box of min and size")
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
