@@ -40,11 +40,11 @@ def write_depth_images(folder: Path, images: Iterable[DepthImage]) -> dict[Path,
         by_camera.setdefault(image.camera, []).append(image)
     counts = {}
     for number, (camera, members) in enumerate(by_camera.items()):
-        place = folder if len(by_camera) == 1 else folder / f"camera-{number:02d}"
-        write_json(place / "camera.json", camera.to_json() | {"depth_scale": 1e3 * DEPTH_UNIT})
+        target = folder if len(by_camera) == 1 else folder / f"camera-{number:02d}"
+        write_json(target / "camera.json", camera.to_json() | {"depth_scale": 1e3 * DEPTH_UNIT})
         for image in members:
-            _write_png(place / f"{image.id}.png", image)
-        counts[place] = len(members)
+            _write_png(target / f"{image.id}.png", image)
+        counts[target] = len(members)
     return counts
 
 

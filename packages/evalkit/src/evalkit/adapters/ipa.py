@@ -143,8 +143,8 @@ def read_camera(path: Path) -> Camera:
 
 
 def _parameter_file(folder: Path) -> Path:
-    places = [folder, *list(folder.resolve().parents)[:LEVELS_UP]]
-    found = next((place / PARAMETERS for place in places if (place / PARAMETERS).is_file()), None)
+    folders = [folder, *list(folder.resolve().parents)[:LEVELS_UP]]
+    found = next((candidate / PARAMETERS for candidate in folders if (candidate / PARAMETERS).is_file()), None)
     if found is None:
         raise InputError(f"{folder}: there is no {PARAMETERS} here or above; give --camera camera.json.")
     return found
@@ -167,7 +167,7 @@ def _image_name(path: Path, root: Path) -> str:
 
 
 def _read_table(path: Path) -> _Table:
-    rows, places = [], []
+    rows, line_numbers = [], []
     lines = csv_rows(path)
     header = next(lines, (0, []))[1]
     if len(header) < FEWEST_COLUMNS or header[0] != "id":
@@ -177,10 +177,10 @@ def _read_table(path: Path) -> _Table:
     for line, words in lines:
         if (row := _row(path, line, words, len(header))) is not None:
             rows.append(row)
-            places.append(line)
+            line_numbers.append(line)
     values = np.array(rows).reshape(-1, NUMBERS + 1)
     rotation = values[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)  # column by column
-    in_ipa = checked_poses(rotation, values[:, :3], lambda i: f"{path}: line {places[i]}: the pose")
+    in_ipa = checked_poses(rotation, values[:, :3], lambda i: f"{path}: line {line_numbers[i]}: the pose")
     return _Table(CV_FROM_IPA @ in_ipa, values[:, -1])
 
 

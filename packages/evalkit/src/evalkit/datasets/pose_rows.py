@@ -89,8 +89,8 @@ def first_fault(rows: Any, layout: Layout) -> str:
     return f"the field '{layout.rows}' mixes kinds of values."
 
 
-def checked_poses(places: Sequence[str], rows: Sequence[Rows], layout: Layout) -> list[Array]:
-    """The images' poses (n, 4, 4), checked in one go; `places` names the images in messages."""
+def checked_poses(names: Sequence[str], rows: Sequence[Rows], layout: Layout) -> list[Array]:
+    """The images' poses (n, 4, 4), checked in one go; `names` names the images in messages."""
     counts = [len(row.value) for row in rows]
     rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
     translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
@@ -107,6 +107,6 @@ def checked_poses(places: Sequence[str], rows: Sequence[Rows], layout: Layout) -
             first = int(np.flatnonzero(~holds)[0])
             image = int(np.searchsorted(np.cumsum(counts), first, side="right"))
             number = first - sum(counts[:image])
-            raise InputError(f"{places[image]}: {layout.row} {number}: the field {complaint}.")
+            raise InputError(f"{names[image]}: {layout.row} {number}: the field {complaint}.")
     stacked = poses.from_rotation_translation(rotation, translation)
     return np.split(stacked, np.cumsum(counts)[:-1]) if counts else []

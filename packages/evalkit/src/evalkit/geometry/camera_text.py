@@ -32,7 +32,7 @@ _Loader.add_constructor(
 
 
 def parse(path: Path) -> Any:
-    """The document in a camera file, told by its content and not by its name.
+    """The document in a camera file, recognized by its content, not by its name.
 
     Raises:
         InputError: the file is too large, or is none of these formats.

@@ -76,8 +76,8 @@ def dense_samples(
 def _counted(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
     """[2, 3] to [0, 0, 1, 1, 1], and how far along each is: [0, 1, 0, 0.5, 1]."""
     which = np.repeat(np.arange(len(counts)), counts)
-    place = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return which, place / np.maximum(counts - 1, 1)[which]
+    step = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return which, step / np.maximum(counts - 1, 1)[which]
 
 
 def sphere_directions(count: int) -> Array:

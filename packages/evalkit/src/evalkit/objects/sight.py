@@ -42,7 +42,7 @@ class Sight:
         directions = np.concatenate([axes, -axes, sphere_directions(AROUND)])
         self._views = list(poses.rotation_between(directions, [0.0, 0.0, 1.0]))
         self._images: dict[int, NDArray[np.float32]] = {}
-        self._order = list(range(len(self._views)))  # the view that told last comes first
+        self._order = list(range(len(self._views)))  # the view that last showed a difference comes first
         self._circle, self._tolerance = _circle(REACH * slack), DEPTH * slack
 
     def excess(self, symmetry: Symmetry) -> float:

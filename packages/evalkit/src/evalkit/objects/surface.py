@@ -84,8 +84,8 @@ class Surface:
         edges and teeth have plain flanks between them.
         """
         strays = []
-        for place, index in enumerate(self._tree.query_ball_point(self.points[:PROBES], ROUGHNESS_RADIUS)):
-            same_side = self.normals[index] @ self.normals[place] > 0.3  # not a thin wall's other face
+        for probe, index in enumerate(self._tree.query_ball_point(self.points[:PROBES], ROUGHNESS_RADIUS)):
+            same_side = self.normals[index] @ self.normals[probe] > 0.3  # not a thin wall's other face
             points = self.points[index][same_side]
             if len(points) > 12:
                 strays.append(_off_quadric(points))

@@ -32,7 +32,7 @@ class Mssd:
         self.limit = limit
         self.model_points = _convex_hull(model_points(model, "mssd"))  # a convex function is largest there
         self.mean = self.model_points.mean(0)
-        self.few = spread_points(self.model_points, BOUND_POINTS)
+        self.bound_points = spread_points(self.model_points, BOUND_POINTS)
         self.model = model
         turns = model.symmetry.elements(SYMMETRY_STEPS) if model.symmetry.kind != "sphere" else np.eye(3)[None]
         self.symmetries = poses.from_rotation_translation(turns, model.centroid - turns @ model.centroid)
@@ -46,7 +46,7 @@ class Mssd:
         if self.model.symmetry.kind == "sphere":
             truth = self._turned_like(truth, estimate)
         intrinsics = np.zeros((len(estimate), 5)) if intrinsics is None else intrinsics
-        rows = max(1, BLOCK_NUMBERS // (3 * len(self.few) * len(self.symmetries)))
+        rows = max(1, BLOCK_NUMBERS // (3 * len(self.bound_points) * len(self.symmetries)))
         starts = range(0, len(estimate), rows)
         parts = [self._block(*(a[i : i + rows] for a in (estimate, truth, intrinsics))) for i in starts]
         return np.concatenate(parts) if parts else np.zeros(0)
@@ -57,7 +57,7 @@ class Mssd:
 
     def _block(self, estimate: Array, truth: Array, intrinsics: Array) -> Array:
         candidates = truth[:, None] @ self.symmetries
-        bound = self.displacement(estimate[:, None], candidates, self.few, intrinsics[:, None]).max(-1)
+        bound = self.displacement(estimate[:, None], candidates, self.bound_points, intrinsics[:, None]).max(-1)
         result = bound.min(-1)
         near = np.flatnonzero(result <= self.limit)
         first = candidates[near, bound[near].argmin(-1)]
@@ -90,7 +90,7 @@ class Mspd(Mssd):
     def __init__(self, model: ObjectModel, limit: float = np.inf) -> None:
         super().__init__(model, limit)
         self.model_points = model_points(model, "mspd")  # the projection's displacement is not convex
-        self.few = spread_points(self.model_points, BOUND_POINTS)
+        self.bound_points = spread_points(self.model_points, BOUND_POINTS)
         self.slack = np.inf  # no point in space bounds a distance in the image
 
     def __call__(self, estimate: Array, truth: Array, intrinsics: Array | None = None) -> Array:

@@ -1,4 +1,4 @@
-"""The paper's losses: L = detection + offset + depth + rotation; registration has its own (posenet.registration).
+"""The paper's losses: L = detection + offset + depth + rotation; registration has its own (network/registration).
 
 The paper prints its cross-entropy without the minus sign; it is meant, and here.
 """

@@ -98,7 +98,7 @@ def _read_ply(path: Path) -> tuple[Array, tuple[int, int]]:
     except (PlyParseError, KeyError, ValueError) as error:
         raise InputError(f"{path}: is no readable PLY point cloud ({str(error)[:120]}); save it again.") from None
     words = [line.split() for line in [*document.obj_info, *document.comments]]
-    told = {row[0].lower(): int(row[1]) for row in words if len(row) == 2 and row[1].isdecimal()}
-    width = told.get("num_cols", told.get("width", 0))
-    height = told.get("num_rows", told.get("height", 0))
+    stated = {row[0].lower(): int(row[1]) for row in words if len(row) == 2 and row[1].isdecimal()}
+    width = stated.get("num_cols", stated.get("width", 0))
+    height = stated.get("num_rows", stated.get("height", 0))
     return points, (width, height) if width * height == len(points) else (len(points), 1)

@@ -193,9 +193,9 @@ def _hidden_from(depth, eye):  # type: ignore[no-untyped-def]
         for k in range(width):
             u = width - 1 - k if eye > 0 else k
             if depth[v, u] > 0:
-                place = side * (np.float32(u) - eye / depth[v, u])
-                out[v, u] = place >= extreme
-                extreme = min(extreme, place)
+                column = side * (np.float32(u) - eye / depth[v, u])
+                out[v, u] = column >= extreme
+                extreme = min(extreme, column)
     return out
 
 

@@ -86,7 +86,7 @@ class Frames:
         located = [self.dataset.locate(int(frame)) for frame in frames]
         labels = [reader.labels(number) for reader, number in located]
         return Batch(
-            depth=torch.stack([self._depth(*place) for place in located]),
+            depth=torch.stack([self._depth(*location) for location in located]),
             intrinsics=intrinsics_of(self.camera).expand(len(located), 4),
             poses=[torch.from_numpy(part.cam_from_obj).float() for part in labels],
             boxes=[torch.from_numpy(part.box_visible * self._box_scale).float() for part in labels],

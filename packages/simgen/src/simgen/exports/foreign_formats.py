@@ -51,13 +51,13 @@ def export_bop(dataset: ShardDataset, out: Path, split: str, on_frames: OnFrames
         bop_export.write_dataset_files(part, head.object, head.camera, head.depth_unit)
         silhouettes = _Silhouettes(dataset)
         for scene, frames in _scenes(dataset):
-            place = part / split / f"{scene:06d}"
-            if not place.exists():
-                begun = place.with_name(f".{place.name}")
+            target = part / split / f"{scene:06d}"
+            if not target.exists():
+                begun = target.with_name(f".{target.name}")
                 shutil.rmtree(begun, ignore_errors=True)
                 views = (_told(dataset[frame], on_frames) for frame in frames)
                 bop_export.write_scene(begun, views, silhouettes)
-                os.replace(begun, place)
+                os.replace(begun, target)
             else:
                 on_frames(len(frames))
         bop_export.write_targets(part / "test_targets_bop19.json", _visibilities(dataset))

@@ -119,8 +119,8 @@ class _Heap:
         for gone in self._shown - set(numbers):
             self._recording.log(_instance(gone), self._rerun.Clear(recursive=True))
         for number, pose in zip(numbers, world_from_obj, strict=True):
-            turn, place = pose[:3, :3], pose[:3, 3]
-            self._recording.log(_instance(number), self._rerun.Transform3D(translation=place, mat3x3=turn))
+            turn, position = pose[:3, :3], pose[:3, 3]
+            self._recording.log(_instance(number), self._rerun.Transform3D(translation=position, mat3x3=turn))
             if number not in self._shown:
                 self._recording.log(_instance(number), self._mesh(colors[number]))
         self._shown = set(numbers)
