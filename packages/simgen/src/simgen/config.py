@@ -5,6 +5,7 @@ Whatever changes a byte of the shards is here; what does not (workers, folder) i
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -89,7 +90,9 @@ class BuildConfig:
         return "\n".join(lines if self.sensor is None else [*lines, f"Sensor: {_listed(self.sensor)}."])
 
     def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+        """As it comes back from a file: JSON knows no tuples."""
+        document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return document
 
 
 def _listed(values: PhysicsConfig | SensorConfig) -> str:

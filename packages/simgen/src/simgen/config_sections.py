@@ -117,7 +117,9 @@ class ViewpointConfig:
         nearest, farthest: multiples of the distance from which the bin's opening just fits the image's narrower side.
         look_at_jitter: the middle of the image looks at a point of the floor that is up to this share of the bin's
             width and depth from its middle.
-        max_turn_degrees: about the optical axis, to either side of where image rows run along the bin's width.
+        max_turn_degrees: about the optical axis, to either side of where image rows run along the bin's width; where
+            the table was measured, of the bin on it.
+        cam_from_table: rows of the measured pose (4, 4) of the bin's floor, z up; None where tilt and distance say it.
     """
 
     min_tilt_degrees: float = 0.0
@@ -126,6 +128,7 @@ class ViewpointConfig:
     farthest: float = 1.5
     look_at_jitter: float = 0.0
     max_turn_degrees: float = 180.0
+    cam_from_table: tuple[tuple[float, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         _require_within("--tilt", self.max_tilt_degrees, 0.0, 80.0)
@@ -134,8 +137,17 @@ class ViewpointConfig:
         _require_within("--distance", self.nearest, 0.01, self.farthest)
         _require_within("--look-at-jitter", self.look_at_jitter, 0.0, 0.5)
         _require_within("max_turn_degrees", self.max_turn_degrees, 0.0, 180.0)
+        if self.cam_from_table is not None and [len(row) for row in self.cam_from_table] != [4, 4, 4, 4]:
+            raise InputError("cam_from_table: a pose has four rows of four numbers.")
 
     def describe(self) -> str:
+        if self.cam_from_table is not None:
+            tilt = math.degrees(math.acos(min(max(-self.cam_from_table[2][2], -1.0), 1.0)))
+            return (
+                f"tilted by {tilt:.3g}° as the table was measured, the bin's middle {self.cam_from_table[2][3]:.4g} m "
+                f"along the optical axis, the bin turned by up to {self.max_turn_degrees:g}° and up to "
+                f"{_percent(self.look_at_jitter)} of its sides aside."
+            )
         return (
             f"tilted by {self.min_tilt_degrees:g} to {self.max_tilt_degrees:g}° where walls hide no more than half "
             f"the floor, turned by up to {self.max_turn_degrees:g}°, from {self.nearest:g} to {self.farthest:g} times "

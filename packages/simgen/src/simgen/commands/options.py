@@ -17,6 +17,7 @@ from evalkit.meshes.units import CHOICES
 from simgen.commands.parsing import parse_bin, parse_instances, parse_range
 from simgen.config import RENDERERS, BuildConfig
 from simgen.presets import PRESETS, default_camera
+from simgen.rendering.measured_table import read_table
 from simgen.sensors.sensor_config import parse_sensor
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -101,6 +102,13 @@ camera_options = _group(
         help="Meters from the bin's floor; as MIN-MAXx, multiples of that from which the bin fits.",
     ),
     click.option(
+        "--table",
+        "table",
+        metavar="A,B,C,D|FILE",
+        help="Measured table in place of tilt and distance: its plane A·x + B·y + C·z = D before the camera in meters, "
+        "or a JSON file with plane, cam_from_table or table_from_cam.",
+    ),
+    click.option(
         "--look-at-jitter", type=float, help="The point looked at is up to this share of the bin off its middle."
     ),
     click.option(
@@ -167,6 +175,7 @@ def configured(
     camera_file: Path | None = None,
     tilt: str | None = None,
     distance: str | None = None,
+    table: str | None = None,
     look_at_jitter: float | None = None,
     bin_jitter: float | None = None,
     walls: float | None = None,
@@ -193,6 +202,15 @@ def configured(
         sides = (preset.camera.width if width is None else width, preset.camera.height if height is None else height)
         changes["camera"] = default_camera(*sides)
     views: dict[str, Any] = {} if look_at_jitter is None else {"look_at_jitter": look_at_jitter}
+    if table is not None:
+        if tilt is not None or distance is not None:
+            raise InputError(
+                "--table: says how the camera is tilted and how far it is; leave --tilt and --distance out."
+            )
+        pose, views["max_turn_degrees"] = read_table(table, changes.get("camera", preset.camera))
+        views["cam_from_table"] = tuple(tuple(row) for row in pose.tolist())
+    elif tilt is not None or distance is not None:
+        views["cam_from_table"] = None
     if tilt is not None:
         views["min_tilt_degrees"], views["max_tilt_degrees"] = parse_range("--tilt", tilt)
     if distance is not None and distance.endswith("x"):

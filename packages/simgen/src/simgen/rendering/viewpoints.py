@@ -28,14 +28,21 @@ def draw_viewpoints(
 
     It is the middle of the image that looks there, wherever the principal point is; the distance is along the axis.
     """
+    rngs = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene, VIEW_STAGE, v))) for v in range(views)]
+    if config.cam_from_table is not None:
+        return np.stack([_on_measured_table(rng, config, size) for rng in rngs])
     tilts = (min(math.radians(config.min_tilt_degrees), max_tilt(config, camera, size)), max_tilt(config, camera, size))
     distances = distance_range(config, camera, size, diameter)
-    rngs = (np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene, VIEW_STAGE, v))) for v in range(views))
     return np.stack([_one_viewpoint(rng, config, camera, size, tilts, distances) for rng in rngs])
 
 
 def max_tilt(config: ViewpointConfig, camera: Camera, size: BinSize) -> float:
-    """Largest angle in radians from the vertical: bounded for deep bins, whose walls would hide the floor."""
+    """Largest angle in radians from the vertical: bounded for deep bins, whose walls would hide the floor.
+
+    That to a measured table is what it is.
+    """
+    if config.cam_from_table is not None:
+        return math.acos(min(max(-config.cam_from_table[2][2], -1.0), 1.0))
     over_the_wall = math.atan(HIDDEN_FLOOR * min(size.width, size.depth) / size.height)
     off_axis = math.hypot(*_middle_ray(camera)[:2])
     above_the_pile = math.atan(SUNK / off_axis) if off_axis else math.pi / 2
@@ -44,6 +51,8 @@ def max_tilt(config: ViewpointConfig, camera: Camera, size: BinSize) -> float:
 
 def distance_range(config: ViewpointConfig, camera: Camera, size: BinSize, diameter: float) -> tuple[float, float]:
     """Nearest and farthest distance in meters from the bin's floor; never among the instances."""
+    if config.cam_from_table is not None:
+        return config.cam_from_table[2][3], config.cam_from_table[2][3]
     fits, clear = _fitting_distance(camera, size), _clear_distance(config, camera, size, diameter)
     return max(config.nearest * fits, clear), max(config.farthest * fits, clear)
 
@@ -86,6 +95,30 @@ def farthest_ground(config: ViewpointConfig, camera: Camera, size: BinSize, fart
     if steepest >= math.pi / 2:
         return math.inf
     return farthest * (1 + math.hypot(*_middle_ray(camera)[:2])) / math.cos(steepest)
+
+
+def require_clear_table(config: ViewpointConfig, size: BinSize, diameter: float) -> None:
+    """Refuse a table measured so near that the camera would stand among the instances.
+
+    Raises:
+        InputError: with the height that clears the bin.
+    """
+    if config.cam_from_table is None:
+        return
+    height, clear = float(poses.invert(np.array(config.cam_from_table))[2, 3]), size.height + HEADROOM * diameter
+    if height < clear:
+        raise InputError(
+            f"--table: the camera stands {height:.3g} m above it, among the parts; from {clear:.3g} m on it clears the "
+            "bin. Give meters, or a lower --bin."
+        )
+
+
+def _on_measured_table(rng: np.random.Generator, config: ViewpointConfig, size: BinSize) -> Array:
+    """`cam_from_world` (4, 4) of a bin that is turned, and put aside, on the measured table."""
+    turn = math.radians(config.max_turn_degrees) * rng.uniform(-1, 1)
+    aside = rng.uniform(-1, 1, 2) * config.look_at_jitter * (size.width, size.depth)
+    table_from_world = poses.from_rotation_translation(poses.from_axis_angle([0, 0, 1.0], turn), np.append(-aside, 0.0))
+    return np.array(config.cam_from_table) @ table_from_world
 
 
 def _one_viewpoint(

@@ -80,7 +80,7 @@ def with_options(job: Job, config: BuildConfig) -> Job:
     if allowed != config:
         raise InputError(
             "the folder gives the camera and where it stands; leave out --camera, --width, --height, --views, "
-            "--tilt, --distance and --look-at-jitter."
+            "--tilt, --distance, --table and --look-at-jitter."
         )
     if config.sensor is not None:
         config.sensor.require_range(config.camera, nearest_and_farthest(job)[0])

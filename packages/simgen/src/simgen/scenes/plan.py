@@ -13,7 +13,7 @@ from evalkit.objects.model import ObjectModel
 from simgen.config import BuildConfig
 from simgen.physics.bin_shape import ground_half_side
 from simgen.physics.bin_size import fitting_bin, require_room
-from simgen.rendering.viewpoints import at_distances, distance_range, farthest_ground
+from simgen.rendering.viewpoints import at_distances, distance_range, farthest_ground, require_clear_table
 from simgen.scenes.job import Job, Part
 from simgen.scenes.recorded import RecordedScenes
 
@@ -47,6 +47,7 @@ def plan(
         config = replace(
             config, viewpoints=at_distances(config.viewpoints, config.camera, size, model.diameter, distances)
         )
+    require_clear_table(config.viewpoints, size, model.diameter)
     nearest, farthest = distance_range(config.viewpoints, config.camera, size, model.diameter)
     ground = farthest_ground(config.viewpoints, config.camera, size, farthest)
     _require_sight(config.camera, model.diameter, farthest)
