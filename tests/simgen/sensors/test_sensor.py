@@ -187,14 +187,14 @@ def test_blurs_agree_with_scipy(deviation: float) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("lidar", "ideal, stereo or kinect"),
-        ("ideal,baseline=0.1", "ideal, stereo or kinect"),
-        ("", "ideal, stereo or kinect"),
+        ("lidar", "ideal, stereo, kinect or a file"),
+        ("ideal,baseline=0.1", "ideal, stereo, kinect or a file"),
+        ("", "ideal, stereo, kinect or a file"),
         ("stereo,baseline", "'baseline' needs a number"),
         ("stereo,baseline=wide", "needs a number"),
         ("stereo,base=0.1", "one of baseline, noise_px"),
         ("stereo,model=1", "one of baseline"),
-        ("stereo,baseline=-0.1", "baseline -0.1 must be"),
+        ("stereo,baseline=-20", "baseline -20 must be"),
         ("stereo,noise_px=nan", "noise_px nan must be"),
         ("kinect,smooth_missing=1.5", "smooth_missing 1.5 must be 0 to 1"),
         ("kinect,quantum_px=0", "quantum_px 0 must be"),

@@ -16,9 +16,12 @@ Image = NDArray[np.float32]
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
-def matching_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Normal numbers (H, W) of variance 1, correlated as neighboring matching windows are."""
-    kernels = [(weight, _taps(deviation)) for weight, deviation in NOISE_BLURS]
+def matching_noise(shape: tuple[int, ...], rng: np.random.Generator, stretch: float = 1.0) -> Image:
+    """Normal numbers (H, W) of variance 1, correlated as neighboring matching windows are.
+
+    `stretch` multiplies the lengths over which they are; of each blur's share of the variance it changes nothing.
+    """
+    kernels = [(stretch * weight, _taps(max(stretch * deviation, 0.1))) for weight, deviation in NOISE_BLURS]
     margin = max(len(taps) // 2 for _, taps in kernels)
     square = np.zeros((2 * margin + 1,) * 2)
     square[margin, margin] = 1

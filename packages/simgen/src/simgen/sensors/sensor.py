@@ -6,12 +6,13 @@ Everything happens in disparity, focal * baseline / z, where matching makes its 
 * shadows: what the second eye does not see, always on the same side of what is nearer;
 * failures of matching, in blobs, rare on smooth surface and frequent beside steps;
 * wrong patches: around steps, whole windows matched to another place's disparity;
-* steps of disparity.
+* steps of disparity, and of the depth that is delivered;
+* surfaces that lose or bend light by how they are inclined (:mod:`simgen.sensors.surfaces`).
 
 A pixel with a return is visible, be the return right or wrong: labels tell which surface lies there, and no error of
 the sensor moves an instance.
 
-What is not modeled: the strip of the image that lies outside the second eye's view, gloss, texture, motion.
+What is not modeled: the strip of the image that lies outside the second eye's view, texture, motion.
 Sources of the parameters are in :mod:`simgen.sensors.sensor_config`.
 """
 
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from evalkit.geometry.camera import Camera
 from simgen.sensors.random_fields import failure_field, matching_noise
 from simgen.sensors.sensor_config import SensorConfig
+from simgen.sensors.surfaces import apparent, lost_by_incidence
 
 SENSOR_STAGE = 7  # second word of the spawn key; drops, viewpoints and bins use others
 EDGE_REACH = 8  # pixels; farther from a step a surface counts as smooth
@@ -53,25 +55,31 @@ def measure(depth: Image, camera: Camera, sensor: SensorConfig, rng: np.random.G
     Returns:
         (H, W) axial meters, 0 = no return. Where there is nothing nothing returns.
     """
-    scale = camera.fx * sensor.baseline
+    scale = camera.fx * abs(sensor.baseline)
     disparity = disparities(depth, scale)
     to_step = distance_to_step(disparity, sensor.step_px)
     wrong = wrong_patches(disparity, to_step, sensor.wrong_patches, rng)
-    noise = matching_noise(depth.shape, rng)
+    noise = matching_noise(depth.shape, rng, sensor.noise_blur)
     failure = failure_field(depth.shape, rng)
+    seen = apparent(disparity, scale, (camera.fx, camera.fy), sensor)
     slopes = np.array([camera.fx, camera.fy, math.tan(math.radians(min(sensor.steepest_degrees, 89.9)))])
-    amount = np.array([sensor.noise_px, sensor.noise_per_slope, sensor.quantum_px])
+    amount = np.array([sensor.noise_px, sensor.noise_per_slope, sensor.quantum_px, sensor.depth_step])
     limits, shadow = failure_limits(sensor), np.float64(_quantile(sensor.shadow_missing))
+    hidden = shadows(disparity) if sensor.baseline > 0 else shadows(disparity[:, ::-1].copy())[:, ::-1].copy()
     return np.asarray(
-        _measured(disparity, to_step, shadows(disparity), wrong, noise, failure, limits, shadow, slopes, amount, scale)
+        _measured(disparity, seen, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale)
     )
 
 
 def failure_limits(sensor: SensorConfig) -> NDArray[np.float64]:
-    """Values of :func:`failure_field` below which matching fails, for each distance to a step 0 .. EDGE_REACH + 1."""
-    smooth, edge = sensor.smooth_missing, sensor.edge_missing
-    beside = (edge * math.exp(-max(distance - 1, 0) / sensor.edge_reach_px) for distance in range(EDGE_REACH + 1))
-    return np.array([_quantile(1 - (1 - smooth) * (1 - share)) for share in beside] + [_quantile(smooth)])
+    """Values of :func:`failure_field` below which matching fails (EDGE_REACH + 2, angles).
+
+    For each distance to a step 0 .. EDGE_REACH + 1, and each angle of :func:`lost_by_incidence`.
+    """
+    reach = np.arange(EDGE_REACH + 1)
+    beside = np.append(sensor.edge_missing * np.exp(-np.maximum(reach - 1, 0) / sensor.edge_reach_px), 0.0)
+    anywhere = 1 - (1 - sensor.smooth_missing) * (1 - lost_by_incidence(sensor))
+    return np.vectorize(_quantile, otypes=[float])(1 - (1 - anywhere) * (1 - beside[:, None]))
 
 
 def _quantile(share: float) -> float:
@@ -180,19 +188,17 @@ def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-un
 
 
 @_compiled
-def _measured(disparity, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
+def _measured(disparity, seen, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
     """Depth in meters (H, W) from true and wrong disparities, unit noise and where matching fails."""
     height, width = disparity.shape
     fx, fy, steepest = slopes
-    noise_px, per_slope, quantum = amount
+    noise_px, per_slope, quantum, depth_step = amount
+    angles = limits.shape[1]
     out = np.zeros((height, width), np.float32)
     for v in range(height):
         for u in range(width):
             true = disparity[v, u]
             if true == 0:
-                continue
-            limit = limits[to_step[v, u]]
-            if failure[v, u] < (max(limit, shadow) if hidden[v, u] else limit):
                 continue
             left, right = _neighbors(u, width)
             above, below = _neighbors(v, height)
@@ -201,11 +207,17 @@ def _measured(disparity, to_step, hidden, wrong, noise, failure, limits, shadow,
             slope = math.sqrt((fx * across) ** 2 + (fy * down) ** 2) / true
             if slope > steepest:
                 continue
-            found = wrong[v, u] if wrong[v, u] > 0 else true
+            angle = int(math.degrees(math.atan(slope))) if angles > 1 else 0
+            limit = limits[to_step[v, u], angle]
+            if failure[v, u] < (max(limit, shadow) if hidden[v, u] else limit):
+                continue
+            found = wrong[v, u] if wrong[v, u] > 0 else seen[v, u]
             found = found + noise_px * (1 + per_slope * slope) * noise[v, u]
             found = math.floor(found / quantum + 0.5) * quantum
             if found > 0:
                 out[v, u] = scale / found
+                if depth_step > 0:
+                    out[v, u] = math.floor(out[v, u] / depth_step + 0.5) * depth_step
     return out
 
 

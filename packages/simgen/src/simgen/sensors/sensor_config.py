@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
@@ -22,9 +22,12 @@ MOST_DISPARITY = 0.5  # of the image's width: nearer, what one eye sees the othe
 class SensorConfig:
     """A depth camera that triangulates with a second eye, another camera or a projector, on its right (+x).
 
+    The last six are of the surfaces that it looks at, and off as they stand; :mod:`simgen.sensors.surfaces` says how
+    they act.
+
     Attributes:
-        model: name of the preset that it came from.
-        baseline: meters between the two eyes.
+        model: name of the preset or file that it came from.
+        baseline: meters between the two eyes; negative where the second is on the left.
         noise_px: standard deviation of disparity on a surface that faces the camera.
         noise_per_slope: growth of that with the surface's slope, times (1 + this * tan(slope)).
         quantum_px: step of the measured disparity.
@@ -35,6 +38,14 @@ class SensorConfig:
         shadow_missing: share without a return where the second eye sees something nearer.
         wrong_patches: area of patches matched to another place's disparity, over the area close to steps.
         steepest_degrees: steeper surfaces give no return.
+        noise_blur: lengths over which noise is correlated, in those of :mod:`simgen.sensors.random_fields`; 0: white.
+        depth_step: meters a step of the depth that the camera delivers; 0: finer than what is stored.
+        fade_degrees: angle of incidence at which half of the returns are lost; 90: none.
+        fade_width_degrees: over how many degrees that comes about.
+        glare_degrees: nearer to facing the camera, a surface throws the light back and gives no return.
+        mirror_share: of the light that a surface reflects as a mirror does, facing the camera; 0: it is matte.
+        bend_most: meters by which mirrored light moves depth at most.
+        penetration: meters that light goes into a surface before it turns back.
     """
 
     model: str
@@ -49,10 +60,17 @@ class SensorConfig:
     shadow_missing: float
     wrong_patches: float
     steepest_degrees: float
+    noise_blur: float = 1.0
+    depth_step: float = 0.0
+    fade_degrees: float = 90.0
+    fade_width_degrees: float = 6.0
+    glare_degrees: float = 0.0
+    mirror_share: float = 0.0
+    bend_most: float = 0.005
+    penetration: float = 0.0
 
     def __post_init__(self) -> None:
         for name, least, most in (
-            ("baseline", 1e-4, 10.0),
             ("noise_px", 0.0, 10.0),
             ("noise_per_slope", 0.0, 10.0),
             ("quantum_px", 1e-4, 10.0),
@@ -63,14 +81,24 @@ class SensorConfig:
             ("shadow_missing", 0.0, 1.0),
             ("wrong_patches", 0.0, 1.0),
             ("steepest_degrees", 1.0, 90.0),
+            ("noise_blur", 0.0, 5.0),
+            ("depth_step", 0.0, 0.1),
+            ("fade_degrees", 1.0, 90.0),
+            ("fade_width_degrees", 0.1, 45.0),
+            ("glare_degrees", 0.0, 60.0),
+            ("mirror_share", 0.0, 1.0),
+            ("bend_most", 1e-6, 0.1),
+            ("penetration", 0.0, 0.05),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and least <= value <= most):
                 raise InputError(f"--sensor {self.model}: {name} {value:g} must be {least:g} to {most:g}.")
+        if not 1e-4 <= abs(self.baseline) <= 10.0:
+            raise InputError(f"--sensor {self.model}: baseline {self.baseline:g} must be 0.0001 to 10, to either side.")
 
     def sigma(self, camera: Camera, distance: float) -> float:
         """Standard deviation in meters of the depth of a surface that faces the camera at `distance` meters."""
-        return self.noise_px * distance**2 / (camera.fx * self.baseline)
+        return self.noise_px * distance**2 / (camera.fx * abs(self.baseline))
 
     def describe(self, camera: Camera, nearest: float, farthest: float) -> str:
         """One line: the noise that the parameters come to with this camera, and all of them."""
@@ -87,7 +115,7 @@ class SensorConfig:
         Raises:
             InputError: at `nearest` meters the two eyes see different things.
         """
-        disparity, most = camera.fx * self.baseline / nearest, MOST_DISPARITY * camera.width
+        disparity, most = camera.fx * abs(self.baseline) / nearest, MOST_DISPARITY * camera.width
         if disparity > most:
             fitting = float(f"{0.5 * most * nearest / camera.fx:.1g}")
             raise InputError(
@@ -147,26 +175,52 @@ def kinect() -> SensorConfig:
 SENSORS: dict[str, Callable[[], SensorConfig]] = {"stereo": stereo, "kinect": kinect}
 
 
+SURFACES: dict[str, dict[str, float]] = {  # choices, not measurements: as bad as such parts are known to be
+    "shiny": {"fade_degrees": 50.0, "fade_width_degrees": 8.0, "glare_degrees": 6.0, "mirror_share": 0.15},
+    "dark": {"fade_degrees": 40.0, "fade_width_degrees": 12.0, "smooth_missing": 0.1},
+    "translucent": {"fade_degrees": 65.0, "fade_width_degrees": 8.0, "penetration": 0.002},
+}
+
+
 def parse_sensor(text: str) -> SensorConfig | None:
-    """``ideal`` (None), ``stereo``, ``kinect``, or one of these with changes: ``stereo,baseline=0.1,noise_px=0.1``.
+    """``ideal`` (None), ``stereo``, ``kinect``, a sensor file, or one of these with changes.
+
+    Changes are surfaces and parameters, the later ones win: ``stereo,shiny,baseline=0.1``.
 
     Raises:
-        InputError: there is no such sensor or parameter, or a value is not a number within its bounds.
+        InputError: there is no such sensor, file or parameter, or a value is not a number within its bounds.
     """
     name, *changes = (part.strip() for part in text.split(","))
     if name == IDEAL and not changes:
         return None
-    if name not in SENSORS:
-        raise InputError(f"--sensor {text}: use {IDEAL}, {' or '.join(SENSORS)}, as in --sensor stereo,baseline=0.1.")
-    known = [f.name for f in fields(SensorConfig) if f.name != "model"]
     values: dict[str, float] = {}
     for change in changes:
-        key, _, value = (part.strip() for part in change.partition("="))
-        if key not in known:
-            raise InputError(f"--sensor {text}: '{change}' is not parameter=value with one of {', '.join(known)}.")
-        try:
-            values[key] = float(value)
-        except ValueError:
-            raise InputError(f"--sensor {text}: '{change}' needs a number, as in {key}=0.1.") from None
-    preset = SENSORS[name]()
-    return SensorConfig(**{f.name: values.get(f.name, getattr(preset, f.name)) for f in fields(preset)})
+        values |= SURFACES[change] if change in SURFACES else _changed(text, change)
+    return replace(_named(text, name), **values)  # type: ignore[arg-type]
+
+
+def _named(text: str, name: str) -> SensorConfig:
+    if name in SENSORS:
+        return SENSORS[name]()
+    if name.endswith(".json"):
+        from simgen.sensors.sensor_file import read_sensor
+
+        return read_sensor(name)
+    raise InputError(
+        f"--sensor {text}: use {IDEAL}, {', '.join(SENSORS)} or a file of 'simgen sensor fit', as in "
+        "--sensor sensor.json or --sensor stereo,baseline=0.1."
+    )
+
+
+def _changed(text: str, change: str) -> dict[str, float]:
+    known = [f.name for f in fields(SensorConfig) if f.name != "model"]
+    key, _, value = (part.strip() for part in change.partition("="))
+    if key not in known:
+        raise InputError(
+            f"--sensor {text}: '{change}' is neither {', '.join(SURFACES)} nor parameter=value with one of "
+            f"{', '.join(known)}."
+        )
+    try:
+        return {key: float(value)}
+    except ValueError:
+        raise InputError(f"--sensor {text}: '{change}' needs a number, as in {key}=0.1.") from None
