@@ -214,7 +214,20 @@ def test_the_network_learns_on_detached_inputs() -> None:
     network(relation_features(hypotheses, MODEL_BOX), features).sum().backward()
     assert hypotheses.scores.grad is None
     assert features.grad is None
-    assert network.start is not None and network.start.weight.grad is not None
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in network.seen.parameters())
+
+
+def test_a_pair_is_heard_by_what_is_seen_of_both() -> None:
+    torch.manual_seed(0)
+    network = JointRegistration(blocks=1, width=32, features=6)
+    relations = relation_features(random_hypotheses(3, spread=0.0), MODEL_BOX)
+    apart = Relations(4, torch.cat([relations.pairs, torch.tensor([[3, 3]])]), relations.features[[*range(9), 0]])
+    seen = torch.randn(4, 6)
+    with torch.no_grad():
+        before = network(apart, seen)
+        changed = network(apart, seen + torch.tensor([[0.0], [0], [1], [0]])) - before
+    assert (changed[:3].abs() > 1e-6).all(), "its own, and that of its neighbors"
+    assert changed[3] == 0, "who is no neighbor is not seen"
 
 
 def test_registration_computes_in_float32_under_autocast() -> None:

@@ -49,6 +49,7 @@ class NetworkConfig:
     registration_blocks: int = 4
     registration_width: int = 64
     registration_neighbours: int = 48
+    registration_cells: int = 0  # it also sees shared features, so many cells a side of each hypothesis's box; 0: none
     hypotheses: int = 5  # per detection
     max_detections: int = 64
 
@@ -96,6 +97,7 @@ class TrainConfig:
         1.75  # times the learning rate: what is learned from few, detached hypotheses needs larger steps
     )
     scoring_start: float = 0.25  # share of the run after which they do
+    scoring_overlap: float = 0.0  # boxes they learn from may overlap by this IoU: duplicates; 0: as in prediction
     validation_share: float = 0.05  # of the scenes
     validation_images: int = 48
     validations: int = 8
@@ -165,6 +167,7 @@ def paper() -> Config:
             registration_blocks=16,
             registration_width=128,
             registration_neighbours=128,
+            registration_cells=7,
         ),
         LossConfig(
             offset=1.0,
@@ -191,6 +194,7 @@ def paper() -> Config:
             scoring_images=1,
             scoring_every=1,
             scoring_rate=1.0,
+            scoring_overlap=0.75,
         ),
     )
 

@@ -64,6 +64,7 @@ def main() -> None:
 @click.option("--offset/--no-offset", default=None, help="Without: the box center stands in for the center.")
 @click.option("--confidence", type=click.Choice(["product", "learned"]), help="Scores before registration.")
 @click.option("--registration/--no-registration", default=None, help="Without: score = confidence.")
+@click.option("--registration-cells", type=click.IntRange(0, 14), help="Cells a side that registration sees; 0: none.")
 @click.option("--registration-weights", type=click.Choice(["paper", "balanced"]), default=None)
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Poses a detection.")
 @click.option("--orientation", type=click.Choice(["allocentric", "egocentric"]), default=None)
@@ -119,7 +120,8 @@ _TRAIN_OPTIONS = (
 def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     config = preset(preset_name)
     network = {
-        key: options[key] for key in ("offset", "confidence", "registration", "hypotheses", "orientation", "norm")
+        key: options[key]
+        for key in ("offset", "confidence", "registration", "registration_cells", "hypotheses", "orientation", "norm")
     }
     config = with_options(config, "network", **network)
     tasks = tuple(options["tasks"].split(",")) if options["tasks"] is not None else None

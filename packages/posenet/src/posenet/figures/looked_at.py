@@ -71,7 +71,7 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
     with network.predicting(bf16=False):
         (proposals,) = network.propose(network.encode(depth, intrinsics))
         scored = network.score(proposals)
-    detections, outputs, hypotheses = proposals
+    detections, outputs, hypotheses = proposals[:3]
     if len(hypotheses) == 0:
         raise InputError(f"image '{view.image_id}': the model finds nothing there; give another --frame.")
     score = network.final_logit(scored).sigmoid().double().numpy()

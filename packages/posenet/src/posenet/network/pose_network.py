@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from evalkit.geometry import poses
@@ -34,6 +36,7 @@ from posenet.network.registration import (
     registration_targets,
     relation_features,
 )
+from posenet.network.seen_boxes import box_around, outermost_points, pooled_features, seen_boxes
 from posenet.network.stages import ImageFeatures, ImagePoses, Proposals, Scored
 from posenet.network.targets import Batch
 
@@ -49,7 +52,8 @@ class PoseNetwork(nn.Module):
         camera: of the training set; the anchors' size follows from it.
     """
 
-    model_box: Tensor
+    model_box: Tensor  # (2, 3) lowest and highest corner, canonical frame
+    outermost: Tensor  # (P, 3) points that span its box in any pose
 
     def __init__(self, config: Config, model: ObjectModel, depth_range: tuple[float, float], camera: Camera) -> None:
         super().__init__()
@@ -63,10 +67,13 @@ class PoseNetwork(nn.Module):
         a, b, c = self.codec.angle_bins
         self.heads = PoseHeads(self.backbone.channels, (a.count, b.count, c.count), net)
         self.confidence = ConfidenceHead(net.fc_width) if net.confidence == "learned" else None
+        seen = self.backbone.channels * net.registration_cells**2
         self.registration = (
-            JointRegistration(net.registration_blocks, net.registration_width) if net.registration else None
+            JointRegistration(net.registration_blocks, net.registration_width, seen) if net.registration else None
         )
-        self.register_buffer("model_box", self._model_box(), persistent=False)
+        surface = self._canonical_surface()
+        self.register_buffer("model_box", box_around(surface), persistent=False)
+        self.register_buffer("outermost", outermost_points(surface), persistent=False)
         self.bf16 = False
 
     @property
@@ -182,7 +189,7 @@ class PoseNetwork(nn.Module):
             some = found.select(mine[found.detection])
             some = some.numbered((mine.cumsum(0) - 1)[some.detection])
             detections = Detections(regions.boxes[rows], scores[rows])
-            proposals.append(Proposals(detections, outputs.select(rows), some))
+            proposals.append(Proposals(detections, outputs.select(rows), some, self._seen(images, i, some)))
         return proposals
 
     def _read_in_portions(
@@ -202,9 +209,18 @@ class PoseNetwork(nn.Module):
             found.append(part.numbered(portion[part.detection]))
         return PoseOutputs.joined(outputs), Hypotheses.joined(found)
 
+    def _seen(self, images: ImageFeatures, image: int, found: Hypotheses) -> Tensor | None:
+        """What the registration sees of each hypothesis (H, F): shared features within the box of its posed object."""
+        cells = self.config.network.registration_cells
+        if self.registration is None or not cells:
+            return None
+        nearest = 0.1 * self.model.diameter
+        boxes = seen_boxes(self.outermost, found.rotation, found.center, images.intrinsics[image], nearest)
+        return pooled_features(images.features[image], boxes, cells, self.backbone.stride)
+
     def score(self, proposals: Proposals, options: PredictOptions = AS_TRAINED) -> Scored:
         """The logits of one image's hypotheses; gradients reach the scoring parameters only."""
-        detections, outputs, found = proposals
+        detections, outputs, found, seen = proposals
         if self.confidence is not None:
             confidence = self.confidence(outputs.features, detections.scores, found, self.model.diameter)
         else:
@@ -215,7 +231,7 @@ class PoseNetwork(nn.Module):
             angles = torch.stack(euler.to_angles(found.relative), -1)
             claims = HypothesisSet(confidence.detach(), found.rotation, found.center, angles, found.detection)
             neighbors = self.config.network.registration_neighbours
-            registered = self.registration(relation_features(claims, self.model_box, neighbors))
+            registered = self.registration(relation_features(claims, self.model_box, neighbors), seen)
         return Scored(found, detections.boxes, confidence, registered)
 
     def final_logit(self, scored: Scored) -> Tensor:
@@ -233,12 +249,11 @@ class PoseNetwork(nn.Module):
         boxes = scored.boxes[found.detection]
         return ImagePoses(found.rotation, found.center, logit[order].sigmoid(), boxes, found.detection)
 
-    def _model_box(self) -> Tensor:
-        """Lowest and highest corner (2, 3) of the object in its canonical frame."""
+    def _canonical_surface(self) -> NDArray[np.float64]:
+        """Points (n, 3) of the object in its canonical frame."""
         surface = self.model.points if self.model.vertices is None else self.model.vertices
         assert surface is not None, "an object has a mesh or sampled points"
-        canonical = poses.apply(self.codec.canonical_from_obj, surface)
-        return torch.tensor(np.stack([canonical.min(0), canonical.max(0)]), dtype=torch.float32)
+        return poses.apply(self.codec.canonical_from_obj, surface)
 
     @contextmanager
     def _autocast(self) -> Iterator[None]:
@@ -247,10 +262,17 @@ class PoseNetwork(nn.Module):
         with torch.autocast(device, dtype=torch.bfloat16, enabled=self.bf16):
             yield
 
+    def while_scoring_learns(self) -> PredictOptions:
+        """What the scores learn from: as in prediction, or with the duplicates that detection would drop."""
+        overlap, own = self.config.train.scoring_overlap, self.detector.limits
+        if overlap <= own.nms_iou:
+            return AS_TRAINED
+        return PredictOptions(detection=replace(own, nms_iou=overlap, least=2 * own.least))
+
     def _scoring_losses(self, images: ImageFeatures, batch: Batch) -> dict[str, Mean]:
         """Of the images that train the scores: the proposals are those of prediction, without dropout or gradient."""
         with self.predicting(self.bf16):
-            proposals = self.propose(images)
+            proposals = self.propose(images, self.while_scoring_learns())
         scored = [self.score(image) for image in proposals]
         parts: dict[str, list[Tensor]] = {"confidence": [], "registration": []}
         with_any = torch.tensor([float(len(image.hypotheses) > 0) for image in scored]).sum()

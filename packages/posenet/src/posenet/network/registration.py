@@ -142,16 +142,17 @@ class JointRegistration(nn.Module):
     """f_J: a logit for each hypothesis of being the one that explains its instance.
 
     `blocks` rounds of talk over `width` features a hypothesis (GossipNet: 16 in the paper, 1 in its released model).
-    `features` is the size of further inputs a hypothesis, 0 for none: then, as in GossipNet, each starts from zeros and
-    knows only its relations, its own score among them.
+    Each starts from zeros and hears pairs: the 13 relations and, with `features`, what the image shows within the boxes
+    of both hypotheses (Sock et al.), so many numbers each, reduced by a layer of their own as GossipNet does.
     """
 
     def __init__(self, blocks: int = 4, width: int = 128, features: int = 0) -> None:
         super().__init__()
         self.width = width
         pair_width = width // 4
-        self.start = nn.Linear(features, width) if features else None
-        self.relation = _fully_connected(len(RELATION_NAMES), pair_width, pair_width, pair_width)
+        self.seen = _fully_connected(features, pair_width) if features else None
+        inputs = len(RELATION_NAMES) + (2 * pair_width if features else 0)
+        self.relation = _fully_connected(inputs, pair_width, pair_width, pair_width)
         self.blocks = nn.ModuleList(GossipBlock(width, pair_width) for _ in range(blocks))
         self.head = nn.Sequential(_fully_connected(width, width, width), nn.Linear(width, 1))
         for module in self.modules():
@@ -168,13 +169,20 @@ class JointRegistration(nn.Module):
         """Logits (n,), float32, from relations and, where the network was built for them, features (n, features)."""
         with torch.autocast(relations.features.device.type, enabled=False):
             state = relations.features.new_zeros(relations.count, self.width)
-            if self.start is not None and features is not None:
-                state = F.relu(self.start(features.detach().float()))
-            relation = self.relation(relations.features)
+            relation = self.relation(self._pairs(relations, features))
             counts = relations.pairs[:, 0].bincount(minlength=relations.count)
             for block in self.blocks:
                 state = block(state, relation, relations.pairs, counts)
             return self.head(state)[:, 0]
+
+    def _pairs(self, relations: Relations, features: Tensor | None) -> Tensor:
+        """What is known of each pair (P, inputs): its relations, and what is seen of the listener and the neighbor."""
+        if self.seen is None:
+            return relations.features
+        assert features is not None, "this registration was built to see"
+        seen = self.seen(features.detach().float())
+        listener, neighbor = relations.pairs.unbind(1)
+        return torch.cat([relations.features, seen[listener], seen[neighbor]], 1)
 
 
 class GossipBlock(nn.Module):

@@ -45,6 +45,7 @@ class Proposals(NamedTuple):
     detections: Detections
     outputs: PoseOutputs
     hypotheses: Hypotheses
+    seen: Tensor | None = None  # (H, F) features within each hypothesis's own box, where the registration looks at them
 
 
 class Scored(NamedTuple):
