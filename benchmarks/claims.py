@@ -1,10 +1,11 @@
 """What the paper's choices are worth on our data: one table, the same images and passes for every row.
 
-    python benchmarks/claims.py --object bunny --sensor stereo --epochs 1
+    python benchmarks/claims.py --object bunny --sensor stereo --epochs 1 [--table registration --seeds 3]
 
 Sock et al. (BMVC 2018) claim that each of these gains: the offset network, several hypotheses, joint registration, and
 learning all tasks together. Everything is kept in --out and continued from there. AP is Sym, Siléane protocol, on
-scenes of another seed; of the tasks, the median errors on the true boxes of instances at least half visible.
+scenes of another seed; of the tasks, the median errors on the true boxes of instances at least half visible; of
+registration, AP with it less AP of the same network without, with the interval of `evalkit compare`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ from posenet.training.dataset import Frames
 TRAININGS: dict[str, tuple[str, ...]] = {
     "small": (),
     "no-offset": ("--no-offset",),
+    "seeing": ("--registration-cells", "4"),
     "product": ("--confidence", "product"),
+    "product-seeing": ("--confidence", "product", "--registration-cells", "4"),
     "printed-weights": ("--registration-weights", "paper"),
     **{f"only-{task}": ("--tasks", task) for task in TASKS},
 }
@@ -41,9 +44,19 @@ ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("without registration", "small", ("--no-registration",)),
     ("scores are the marginals' product", "product", ("--no-registration",)),
     ("the product, registered", "product", ()),
+    ("registration sees the image too", "seeing", ()),
+    ("the product, registered by one that sees the image", "product-seeing", ()),
     ("registration's weights as the paper prints them", "printed-weights", ()),
 )
+REGISTERED = {
+    "the learned confidence; hears relations": "small",
+    "the learned confidence; hears relations and the image": "seeing",
+    "the product; hears relations": "product",
+    "the product; hears relations and the image": "product-seeing",
+}
+TABLES = ("scores", "tasks", "registration")
 LEAST_VISIBILITY = 0.5
+VISIBILITIES = (0.5, 0.3)
 
 
 def main() -> None:
@@ -56,15 +69,31 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=640)
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--test-scenes", type=int, default=40, help="two views each")
+    parser.add_argument("--table", choices=TABLES, action="append", help="only this one; may be repeated")
+    parser.add_argument("--seeds", type=int, default=1, help="of training, for the table of registration")
     parser.add_argument("--out", type=Path, help="[runs/claims/OBJECT-SENSOR-EPOCHS]")
     options = parser.parse_args()
     out = options.out or Path("runs") / "claims" / f"{Path(options.object).stem}-{options.sensor}-{options.epochs}"
     build(options, out)
-    for name, words in TRAININGS.items():
-        run("posenet", "fit", out / "train", "--preset", options.preset, "--epochs", options.epochs, *words,
-            "-o", out / name)  # fmt: skip
-    for line in [*score_table(out), "", *task_table(out)]:
-        print(line)
+    tables = options.table or TABLES
+    if {"scores", "tasks"} & set(tables):
+        for name in TRAININGS:
+            fit(options, out, name)
+    made = {
+        "scores": lambda: score_table(out),
+        "tasks": lambda: task_table(out),
+        "registration": lambda: registration_table(options, out),
+    }
+    for name in tables:
+        print("\n".join([*made[name](), ""]))
+
+
+def fit(options: argparse.Namespace, out: Path, name: str, seed: int = 0) -> Path:
+    """The folder of one of TRAININGS, called `name` if its seed is 0."""
+    folder = out / (f"{name}-seed{seed}" if seed else name)
+    run("posenet", "fit", out / "train", "--preset", options.preset, "--epochs", options.epochs, "--seed", seed,
+        *TRAININGS[name], "-o", folder)  # fmt: skip
+    return folder
 
 
 def build(options: argparse.Namespace, out: Path) -> None:
@@ -87,6 +116,32 @@ def score_table(out: Path) -> Iterator[str]:
             cells.append(ap(found, out / "gt.json", LEAST_VISIBILITY))
         images = json.loads((out / training / "metrics.jsonl").read_text().splitlines()[-1])["images"]
         yield f"| {title} | {images} | {' | '.join(cells)} |"
+
+
+def registration_table(options: argparse.Namespace, out: Path) -> Iterator[str]:
+    """What registration adds to the very network that it was trained with."""
+    yield "| registration over | seed | visible | AP without | AP with | difference [95 %] |"
+    yield "|---|---|---|---|---|---|"
+    for title, name in REGISTERED.items():
+        for seed in range(options.seeds):
+            model = fit(options, out, name, seed)
+            found = [out / f"{model.name}-{kind}.json" for kind in ("without", "with")]
+            for file, off in zip(found, (("--no-registration",), ()), strict=True):
+                run("posenet", "predict", model, out / "test", *off, "-o", file)
+            for visibility in VISIBILITIES:
+                yield f"| {title} | {seed} | >= {visibility:.0%} | {paired(*found, out / 'gt.json', visibility)} |"
+
+
+def paired(first: Path, second: Path, truth: Path, visibility: float) -> str:
+    """AP of both and the difference with its interval, as cells of a row."""
+    figures = second.with_name(f"{second.stem}-{visibility:g}-compared.json")
+    run("evalkit", "compare", first, second, truth, "--min-visibility", visibility, "--json", figures)
+    outcome = json.loads(figures.read_text())
+    difference = outcome["difference"]
+    return (
+        f"{outcome['first']['value']:.3f} | {outcome['second']['value']:.3f} | "
+        f"{difference['value']:+.3f} [{difference['low']:+.3f}, {difference['high']:+.3f}]"
+    )
 
 
 def task_table(out: Path) -> Iterator[str]:
