@@ -125,11 +125,12 @@ def registration_table(options: argparse.Namespace, out: Path) -> Iterator[str]:
     for title, name in REGISTERED.items():
         for seed in range(options.seeds):
             model = fit(options, out, name, seed)
-            found = [out / f"{model.name}-{kind}.json" for kind in ("without", "with")]
-            for file, off in zip(found, (("--no-registration",), ()), strict=True):
-                run("posenet", "predict", model, out / "test", *off, "-o", file)
+            without, registered = (out / f"{model.name}-{kind}.json" for kind in ("without", "with"))
+            run("posenet", "predict", model, out / "test", "--no-registration", "-o", without)
+            run("posenet", "predict", model, out / "test", "-o", registered)
             for visibility in VISIBILITIES:
-                yield f"| {title} | {seed} | >= {visibility:.0%} | {paired(*found, out / 'gt.json', visibility)} |"
+                figures = paired(without, registered, out / "gt.json", visibility)
+                yield f"| {title} | {seed} | >= {visibility:.0%} | {figures} |"
 
 
 def paired(first: Path, second: Path, truth: Path, visibility: float) -> str:
