@@ -13,6 +13,7 @@ from evalkit import InputError, average_precision
 from evalkit.adapters.bop import dataset as bop
 from evalkit.adapters.bop import results as bop_results
 from evalkit.adapters.bop.object import symmetry_group
+from evalkit.adapters.bop.target_lists import read_targets
 from evalkit.adapters.depth_images import write_depth_images
 from evalkit.commands.cli import main
 from evalkit.datasets.documents import PredictionImage, Predictions, read_ground_truth, read_predictions
@@ -232,6 +233,26 @@ def test_targets_choose_the_images(split, tmp_path, detection):
     (tmp_path / "targets.json").write_text(json.dumps([target | {"im_id": 9}]))
     with pytest.raises(InputError, match=r"targets\.json"):
         bop.read_ground_truth(split, object_id=1, targets=tmp_path / "targets.json")
+
+
+def test_a_multi_view_list_chooses_one_sensors_views_in_its_order(tmp_path):
+    split = write_dataset(tmp_path / "set", scenes=(1, 7), sensor="_cam2")
+    views = [
+        {"scene_id": 7, "im_id": [["cam1", 3], ["cam2", 4], ["cam2", 3]]},
+        {"scene_id": 1, "im_id": [["cam1", 4], ["cam2", 3]]},
+    ]
+    path = tmp_path / "test_targets_multiview_bop25.json"
+    path.write_text(json.dumps(views))
+    truth = bop.read_ground_truth(split, object_id=1, sensor="cam2", targets=path)
+    assert [image.id for image in truth.images] == ["000007-000004", "000007-000003", "000001-000003"]
+    with pytest.raises(InputError, match="--sensor cam1"):
+        read_targets(path)
+    path.write_text(json.dumps([{"scene_id": 1, "im_id": [4, 3]}]))
+    assert list(read_targets(path)) == [(1, 4), (1, 3)]
+    for im_id in (None, "x", [["cam2"]], [["cam2", 3, 4]], [None], {}):
+        path.write_text(json.dumps([{"scene_id": 1, "im_id": im_id}]))
+        with pytest.raises(InputError, match="im_id"):
+            read_targets(path, "cam2")
 
 
 def test_sensors_are_told_apart(tmp_path):

@@ -177,9 +177,11 @@ def test_bop24_scores_the_ground_truth_of_shards_with_one(shards, tmp_path):
     preds = {"format": "binpose-preds/1", "object": "tile", "images": images}
     (tmp_path / "preds.json").write_text(json.dumps(preds))
     files = tmp_path / "preds.json", tmp_path / "gt.json", "--json", tmp_path / "out.json"
-    for unit in ("diameter", "mm"):
-        assert evalkit("bop24", *files, "--unit", unit).exit_code == 0
-        assert json.loads((tmp_path / "out.json").read_text())["ap"] == 1.0
+    done = evalkit("bop24", *files)
+    assert done.exit_code == 0
+    for name in ("bop24_mAP", "bop25_mAP", "bop25_mAP_mm"):
+        assert json.loads((tmp_path / "out.json").read_text())[name] == 1.0
+        assert f"{name:<18} 1.0000" in done.output
 
 
 def test_predictions_go_out_in_the_format_of_the_toolbox(folder, tmp_path):

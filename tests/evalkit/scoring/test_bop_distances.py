@@ -1,18 +1,14 @@
-"""MSSD and MSPD against their definition, and BOP's ladder of thresholds."""
+"""MSSD and MSPD against their definition."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from evalkit import InputError, PredictionImage, average_precision
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.objects.symmetry import Symmetry
 from evalkit.scoring.bop_distances import SYMMETRY_STEPS, Mspd, Mssd, spread_points
-from evalkit.scoring.detection_ap import DIAMETERS, MILLIMETERS, PIXELS, detection_ap
 
 CAMERA = Camera(320, 240, 300.0, 310.0, 160.0, 120.0)
 INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.width])
@@ -81,38 +77,3 @@ def test_spread_points_are_far_apart():
     gaps = np.linalg.norm(few[:, None] - few[None], axis=-1) + 99 * np.eye(10)
     everywhere = np.linalg.norm(points[:, None] - few[None], axis=-1).min(1).max()
     assert gaps.min() >= everywhere  # no point is farther from the chosen than they are from each other
-
-
-@pytest.fixture
-def crowd_with_camera(plain_model, make_crowd):
-    predictions, truth = make_crowd(plain_model, 2)
-    return predictions, replace(truth, images=[replace(image, camera=CAMERA) for image in truth.images])
-
-
-def test_the_ladder_is_the_mean_of_single_scores(crowd_with_camera):
-    found = detection_ap(*crowd_with_camera)
-    for criterion, ladder, thresholds in (("mssd", found.mssd, DIAMETERS), ("mspd", found.mspd, PIXELS)):
-        assert tuple(ladder) == thresholds
-        for threshold in (thresholds[0], thresholds[4]):
-            rules = {"protocol": "coco", "min_visibility": 0.1, "threshold": threshold}
-            single = average_precision(*crowd_with_camera, criterion=criterion, **rules)
-            assert ladder[threshold] == pytest.approx(single.ap, abs=1e-12)
-    assert 0 < found.ap < 1
-    assert found.ap == pytest.approx((np.mean(list(found.mssd.values())) + np.mean(list(found.mspd.values()))) / 2)
-
-
-def test_millimeters_are_millimeters(crowd_with_camera):
-    predictions, truth = crowd_with_camera
-    first = truth.images[-1]
-    alone = replace(truth, images=[replace(first, cam_from_obj=first.cam_from_obj[:1], visibility=np.ones(1))])
-    shifted = first.cam_from_obj[:1] + 0.009 * np.eye(4)[0][:, None] * np.eye(4)[3]
-    ladder = detection_ap(
-        replace(predictions, images=[PredictionImage(first.id, shifted, np.ones(1))]), alone, "mm"
-    ).mssd
-    assert tuple(ladder) == MILLIMETERS
-    assert [mm for mm, ap in ladder.items() if ap == 1.0] == [10.0, 12.0, 14.0, 16.0, 18.0, 20.0]
-
-
-def test_mspd_without_a_camera_is_refused(plain_model, make_crowd):
-    with pytest.raises(InputError, match="camera"):
-        detection_ap(*make_crowd(plain_model, 2))

@@ -58,6 +58,17 @@ def test_agrees_with_the_plain_reference_in_every_curve_point(symmetric_model, m
         assert result.ap == pytest.approx(expected["ap"], abs=1e-12)
 
 
+def test_recall_at_a_precision_is_the_highest_but_in_the_toolbox_the_last(plain_model, make_crowd):
+    figures = []
+    for seed in range(12):
+        crowd = make_crowd(plain_model, seed)
+        ours, toolbox = (average_precision(*crowd, protocol=name) for name in ("sileane", "sileane-toolbox"))
+        assert ours.recall_at_precision_50 == ours.curve.recall_at_precision(0.5)
+        assert toolbox.recall_at_precision_50 == toolbox.curve.recall_at_last_precision(0.5)
+        figures.append((toolbox.recall_at_precision_50, toolbox.curve.recall_at_precision(0.5)))
+    assert any(last < highest for last, highest in figures)
+
+
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_ground_truth_given_as_predictions_scores_exactly_one(symmetric_model, make_crowd, protocol):
     for seed in range(4):

@@ -32,6 +32,13 @@ def test_f1_is_zero_where_precision_and_recall_are():
     assert curve([0.0, 0.5], [0.0, 0.5]).f1.tolist() == [0.0, 0.5]
 
 
+def test_the_toolboxs_recall_is_that_of_the_last_point_precise_enough():
+    steps = curve([1.0, 1.0, 0.98, 0.995, 0.9], [0.2, 0.4, 0.3, 0.35, 0.5])
+    assert (steps.recall_at_precision(0.99), steps.recall_at_last_precision(0.99)) == (0.4, 0.35)
+    assert steps.recall_at_last_precision(0.5) == 0.5  # it never falls so low: at the end
+    assert steps.recall_at_last_precision(1.1) == 0.0
+
+
 def test_recall_at_precision_is_zero_where_the_precision_is_never_reached():
     steps = curve([0.9, 0.8, 0.4], [0.1, 0.3, 0.5])
     assert [steps.recall_at_precision(p) for p in (0.95, 0.8, 0.2)] == [0.0, 0.3, 0.5]

@@ -124,19 +124,24 @@ def compare(first: Path, second: Path, gt: Path, resamples: int, json_path: Path
 @main.command()
 @click.argument("preds", type=FILE)
 @click.argument("gt", type=FILE)
-@click.option("--unit", type=click.Choice(["diameter", "mm"]), default="diameter", show_default=True)
+@click.option(
+    "--max-results", type=click.IntRange(1), help="Of each image, only this many best count [100; of xyzibd 200]."
+)
 @click.option("--json", "json_path", type=FILE, help="Write the figures here.")
-def bop24(preds: Path, gt: Path, unit: str, json_path: Path | None) -> None:
-    """The detection score of BOP Challenge 2024: AP over a ladder of MSSD and MSPD thresholds."""
+def bop24(preds: Path, gt: Path, max_results: int | None, json_path: Path | None) -> None:
+    """BOP's detection scores of 2024 and 2025, as bop_toolkit computes them.
+
+    AP over ladders of thresholds: MSSD in diameters and in millimeters, MSPD in pixels.
+    """
     from evalkit.scoring.detection_ap import detection_ap
 
-    found = detection_ap(documents.read_predictions(preds), documents.read_ground_truth(gt), unit)
+    found = detection_ap(documents.read_predictions(preds), documents.read_ground_truth(gt), max_results)
     if json_path is not None:
         inputs = described_inputs(predictions=preds, ground_truth=gt)
         write_json(json_path, {**found.to_json(), "inputs": inputs}, indent=1)
-    click.echo(
-        f"AP       {found.ap:.4f}\nAP MSSD  {found.ap_mssd:.4f}\nAP MSPD  {found.ap_mspd:.4f}\n\n{found.protocol}"
-    )
+    for name, score in found.scores.items():
+        click.echo(f"{name:<18} {score:.4f}")
+    click.echo(f"\n{found.protocol}")
 
 
 @main.command()

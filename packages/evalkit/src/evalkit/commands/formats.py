@@ -26,7 +26,7 @@ SOURCE_OPTIONS = [
     click.option("--camera", type=FILE, help="The camera as JSON, in place of the dataset's.  [icvl, ipa]"),
     click.option("--camera-params", type=FILE, help="camera_params.txt, where it is not beside the files.  [sileane]"),
     click.option("--sensor", help="Of a set with several sensors, this one, such as cam1.  [bop]"),
-    click.option("--targets", type=FILE, help="Only the images that test_targets_bop*.json lists.  [bop]"),
+    click.option("--targets", type=FILE, help="Only the images that test_targets_*.json lists.  [bop]"),
     click.option("--width", type=click.IntRange(1), help="Image width where the files do not give it.  [bop]"),
     click.option("--height", type=click.IntRange(1), help="Image height where the files do not give it.  [bop]"),
 ]
@@ -113,7 +113,7 @@ def preds(source: Path, kind: str, target: str, output: Path, **options: Any) ->
 @click.option("-o", "--output", type=FILE, required=True, help="The folder to write.")
 @click.option("--camera", type=FILE, help="The camera as JSON, in place of the dataset's.  [icvl]")
 @click.option("--sensor", help="Of a set with several sensors, this one, such as cam1.  [bop]")
-@click.option("--targets", type=FILE, help="Only the images that test_targets_bop*.json lists.  [bop]")
+@click.option("--targets", type=FILE, help="Only the images that test_targets_*.json lists.  [bop]")
 def depth(source: Path, kind: str, output: Path, **options: Any) -> None:
     """Write the depth images of SOURCE in one coding, named as in gt.json, with their camera.json.
 

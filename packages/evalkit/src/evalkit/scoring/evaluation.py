@@ -78,11 +78,18 @@ class Subject:
         Raises:
             InputError: the criterion needs points or cameras that the ground truth lacks.
         """
-        limit, model = settings.limit(self.truth.object), self.truth.object
-        if CRITERIA[settings.criterion].in_pixels and self.crowd.intrinsics is None:
-            raise InputError(f"{self.truth.source}: an image has no 'camera', which --criterion mspd needs.")
-        distance = for_criterion(settings.criterion, model, settings.protocol == "sileane-toolbox", limit)
-        return close_pairs(self.crowd, distance, limit)
+        limit = settings.limit(self.truth.object)
+        return self.pairs_within(settings.criterion, limit, settings.protocol == "sileane-toolbox")
+
+    def pairs_within(self, criterion: str, limit: float, toolbox: bool = False) -> Pairs:
+        """Hypotheses and instances no farther apart than `limit`, meters or for mspd pixels.
+
+        Raises:
+            InputError: as :meth:`pairs`.
+        """
+        if CRITERIA[criterion].in_pixels and self.crowd.intrinsics is None:
+            raise InputError(f"{self.truth.source}: an image has no 'camera', which --criterion {criterion} needs.")
+        return close_pairs(self.crowd, for_criterion(criterion, self.truth.object, toolbox, limit), limit)
 
     def score(self, settings: Settings, pairs: Pairs) -> Result:
         """Match by the protocol's rule and draw its curve."""

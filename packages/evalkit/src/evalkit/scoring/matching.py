@@ -168,9 +168,14 @@ def match_mutual(crowd: Crowd, pairs: Pairs) -> Matching:
     )
 
 
-def match_greedy(crowd: Crowd, pairs: Pairs) -> Matching:
-    """COCO's rule: by falling score, each hypothesis takes the nearest free instance, those to find before others."""
-    order = np.lexsort((pairs.instance, pairs.distance, ~crowd.to_find[pairs.instance], pairs.hypothesis))
+def match_greedy(crowd: Crowd, pairs: Pairs, visible_first: bool = True) -> Matching:
+    """COCO's rule: by falling score, each hypothesis takes the nearest free instance.
+
+    Args:
+        visible_first: instances to find are taken before others, however near; BOP knows no such preference.
+    """
+    later = ~crowd.to_find[pairs.instance] & visible_first
+    order = np.lexsort((pairs.instance, pairs.distance, later, pairs.hypothesis))
     taken_by, takes = [-1] * len(crowd.to_find), [-1] * len(crowd.score)
     for hypothesis, instance in zip(pairs.hypothesis[order].tolist(), pairs.instance[order].tolist(), strict=True):
         if takes[hypothesis] < 0 and taken_by[instance] < 0:

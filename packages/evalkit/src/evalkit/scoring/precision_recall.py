@@ -58,6 +58,15 @@ class Curve:
         """The highest recall at which precision is at least this, 0 where it never is."""
         return float(self.recall[self.precision >= precision].max(initial=0.0))
 
+    def recall_at_last_precision(self, precision: float) -> float:
+        """The recall of the last point at which precision is at least this, 0 where it never is.
+
+        What Siléane's toolbox reports: recall at the last crossing downwards. Recall may fall along the curve, where a
+        nearer hypothesis takes an instance from one that was right.
+        """
+        reached = np.flatnonzero(self.precision >= precision)
+        return float(self.recall[reached[-1]]) if len(reached) else 0.0
+
 
 class Steps(Protocol):
     """What each image adds to a curve, ready to be added up with any weights of the images."""

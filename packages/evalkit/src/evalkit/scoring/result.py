@@ -89,11 +89,16 @@ class Result:
 
     @property
     def recall_at_precision_99(self) -> float:
-        return self.curve.recall_at_precision(0.99)
+        return self._recall_at(0.99)
 
     @property
     def recall_at_precision_50(self) -> float:
-        return self.curve.recall_at_precision(0.50)
+        return self._recall_at(0.50)
+
+    def _recall_at(self, precision: float) -> float:
+        if self.settings.protocol == "sileane-toolbox":
+            return self.curve.recall_at_last_precision(precision)
+        return self.curve.recall_at_precision(precision)
 
     @cached_property
     def counts(self) -> dict[str, int]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.bop.object import METERS, read_object
 from evalkit.adapters.bop.scenes import Scene, dataset_folder, find_scenes
+from evalkit.adapters.bop.target_lists import Targets, read_targets
 from evalkit.adapters.depth_images import DepthImage
 from evalkit.adapters.fields import checked_poses, image_id, numbers
 from evalkit.adapters.visibility import SYNTAX, Visibility
@@ -30,7 +31,6 @@ from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]
 NEAREST = 0.01  # meters; a camera sees nothing nearer, but meters read as millimeters lie there
-Targets = dict[tuple[int, int], set[int] | None]
 
 
 def read_ground_truth(
@@ -55,7 +55,7 @@ def read_ground_truth(
         object_id: may be left out where the scenes show one object only.
         visibility: in place of scene_gt_info.json; see :mod:`evalkit.adapters.visibility`.
         sensor: the camera's or modality's name in sets that have several, such as cam1.
-        targets: a test_targets_bop*.json; images that it does not list are left out.
+        targets: a test_targets_*.json; images that it does not list are left out, the others are in its order.
         width, height: the images' size where neither images nor camera.json give it.
 
     Raises:
@@ -67,11 +67,14 @@ def read_ground_truth(
     dataset = dataset_folder(scenes[0].folder)
     model, remarks = read_object(dataset, object_id, object_name, mesh, units, symmetry)
     rule = None if visibility is None else Visibility(visibility)
-    wanted = None if targets is None else _read_targets(targets)
+    wanted = None if targets is None else read_targets(targets, sensor)
     reader = _Reader(object_id, model, rule, wanted, _SizeSource(dataset, width, height))
     images = [image for scene in scenes for image in reader.images(scene, annotations[scene.number])]
     if not images:
         raise InputError(f"{targets}: it lists no image of {folder} for object {object_id}.")
+    if wanted is not None:
+        rank = {image_id(*target): i for i, target in enumerate(wanted)}
+        images.sort(key=lambda image: rank[image.id])
     if rule is not None:
         remarks.append(rule.remark)
     return GroundTruth(model, images, source=str(folder), remarks=tuple(remarks))
@@ -83,7 +86,7 @@ def depth_images(folder: Path, *, sensor: str | None = None, targets: Path | Non
     Raises:
         InputError: a file is missing or is not what it should be.
     """
-    wanted = None if targets is None else _read_targets(targets)
+    wanted = None if targets is None else read_targets(targets, sensor)
     for scene in find_scenes(folder, sensor, "scene_camera"):
         cameras = scene.entries("scene_camera")
         for number in cameras:
@@ -114,22 +117,6 @@ def _chosen(object_id: int | None, annotations: dict[int, dict[int, list[dict[st
     listed = ", ".join(map(str, known)) or "none"
     wish = "several objects are annotated" if object_id is None else f"object {object_id} is not annotated"
     raise InputError(f"{folder}: {wish}; give --object-id with one of {listed}.")
-
-
-def _read_targets(path: Path) -> Targets:
-    """(scene, image) -> the objects to look for there, None for all (the detection targets of 2024)."""
-    rows = load_json(path)
-    if not isinstance(rows, list):
-        raise InputError(f"{path}: expected a list of {{'scene_id', 'im_id', …}}.")
-    targets: Targets = {}
-    for i, row in enumerate(rows):
-        where = f"{path}: target {i}"
-        key = int(numbers(row, "scene_id", (), where)), int(numbers(row, "im_id", (), where))
-        if "obj_id" not in row:
-            targets[key] = None
-        elif (objects := targets.setdefault(key, set())) is not None:
-            objects.add(int(numbers(row, "obj_id", (), where)))
-    return targets
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,11 @@ masks and our visibility agree; bop_toolkit's own script would count some holes 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import cdist
 
 from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.depth_images import write_png
@@ -32,6 +29,7 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.meshes.write import write_ply
+from evalkit.objects.extent import largest_distance
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry import Symmetry
 
@@ -41,7 +39,6 @@ Silhouettes = Callable[[View], Iterable[Mask]]
 OBJECT_ID = 1
 TARGET_VISIBILITY = 0.1  # BOP looks for instances that are at least so visible
 NOWHERE = [-1, -1, -1, -1]  # the box of what has no pixel
-ROWS_AT_ONCE = 500
 
 
 def write_dataset_files(dataset: Path, model: ObjectModel, camera: Camera, depth_unit: float) -> None:
@@ -138,7 +135,7 @@ def _extent(vertices: Array) -> dict[str, float]:
     low, size = vertices.min(0), np.ptp(vertices, axis=0)
     box = {f"min_{axis}": float(low[i]) for i, axis in enumerate("xyz")}
     box |= {f"size_{axis}": float(size[i]) for i, axis in enumerate("xyz")}
-    return {"diameter": _largest_distance(vertices), **box}
+    return {"diameter": largest_distance(vertices), **box}
 
 
 def _symmetries(symmetry: Symmetry, center: Array) -> dict[str, Any]:
@@ -155,14 +152,6 @@ def _symmetries(symmetry: Symmetry, center: Array) -> dict[str, Any]:
     if len(axes):
         stated["symmetries_continuous"] = [{"axis": axis.tolist(), "offset": center.tolist()} for axis in axes]
     return stated
-
-
-def _largest_distance(points: Array) -> float:
-    """Between any two of `points` (n, 3); those of their convex hull will do."""
-    with suppress(QhullError):  # they are flat
-        points = points[ConvexHull(points).vertices]
-    chunks = range(0, len(points), ROWS_AT_ONCE)
-    return max(float(cdist(points[start : start + ROWS_AT_ONCE], points).max()) for start in chunks)
 
 
 def _vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:

@@ -69,7 +69,8 @@ def read_object(
         raise InputError(
             f"object {object_id}: no models/obj_{object_id:06d}.ply here or above; give --mesh and --units."
         )
-    model = replace(model, notes={**model.notes, "bop_obj_id": object_id})
+    of = {} if dataset is None else {"bop_dataset": dataset.name}
+    model = replace(model, notes={**model.notes, **of, "bop_obj_id": object_id})
     if info:
         model = _with_bop_threshold(model, info, where)
     if symmetry is not None:
@@ -123,7 +124,8 @@ def _with_bop_threshold(model: ObjectModel, info: dict[str, Any], where: str) ->
             f"{where}: its 'diameter' is {diameter:.4g} m but the mesh's {model.diameter:.4g} m; "
             "the file must be in millimeters, or --units is wrong."
         )
-    notes = {**model.notes, "threshold": "a tenth of the diameter that models_info.json states"}
+    stated = "a tenth of the diameter that models_info.json states"
+    notes = {**model.notes, "threshold": stated, "bop_diameter": diameter}
     return replace(model, threshold=THRESHOLD_RATIO * diameter, notes=notes)
 
 
