@@ -12,7 +12,7 @@ from typing import Any
 from evalkit.datasets.shard_format import COMPRESSIONS
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
-from simgen.config_sections import BinSize, PhysicsConfig, PileConfig, ViewpointConfig
+from simgen.config_sections import BinSize, DistractorConfig, PhysicsConfig, PileConfig, ViewpointConfig
 from simgen.sensors.sensor_config import SensorConfig
 
 RENDERERS = ("cpu", "pyrender")
@@ -39,6 +39,7 @@ class BuildConfig:
     pile: PileConfig = field(default_factory=PileConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     viewpoints: ViewpointConfig = field(default_factory=ViewpointConfig)
+    distractors: DistractorConfig | None = None
     sensor: SensorConfig | None = None
     keep_ideal: bool = False
     renderer: str = "cpu"
@@ -87,7 +88,11 @@ class BuildConfig:
         ]
         if self.bin is not None:
             lines.insert(2, f"Bin: {self.bin} m{'' if self.bin.walls else ', without walls'}.")
-        return "\n".join(lines if self.sensor is None else [*lines, f"Sensor: {_listed(self.sensor)}."])
+        if self.distractors is not None:
+            lines.append(f"Distractors: {self.distractors.describe()}")
+        if self.sensor is not None:
+            lines.append(f"Sensor: {_listed(self.sensor)}.")
+        return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """As it comes back from a file: JSON knows no tuples."""

@@ -84,6 +84,32 @@ class PileConfig:
 
 
 @dataclass(frozen=True)
+class DistractorConfig:
+    """Foreign things among the parts: instances of nothing, without labels, that hide what lies behind them.
+
+    Attributes:
+        sources: "builtin", or mesh files.
+        sha256: of each file, empty for what is built in.
+        share: of all that lies in a scene, on average.
+    """
+
+    sources: tuple[str, ...]
+    sha256: tuple[str, ...]
+    share: float
+
+    def __post_init__(self) -> None:
+        if not self.sources or len(self.sources) != len(self.sha256):
+            raise InputError("--distractors: give builtin, or mesh files with commas between them.")
+        if not 0 < self.share <= 0.9:
+            raise InputError(f"--share {self.share:g}: of all things in a scene, above 0 and at most 0.9, as in 0.3.")
+
+    def describe(self) -> str:
+        known = (f" ({digest[:8]})" if digest else "" for digest in self.sha256)
+        names = ", ".join(source + words for source, words in zip(self.sources, known, strict=True))
+        return f"{_percent(self.share)} of all that lies there, of {names}."
+
+
+@dataclass(frozen=True)
 class PhysicsConfig:
     """How instances fall and when they count as at rest.
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from evalkit.geometry.camera import Camera
 from simgen.config import BuildConfig
-from simgen.config_sections import PileConfig, ViewpointConfig
+from simgen.config_sections import DistractorConfig, PileConfig, ViewpointConfig
 
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
 
@@ -57,10 +57,27 @@ def icvl() -> BuildConfig:
     )
 
 
+def domestic() -> BuildConfig:
+    """A table with several instances among other things, mildly hidden: the paper's domestic cup (its Table 3)."""
+    return BuildConfig(
+        800,
+        8,
+        3,
+        8,
+        default_camera(640, 480),
+        pile=PileConfig(layers=0.35, bin_jitter=0.2, wall_probability=0.0, drop_spread_min=0.8),
+        viewpoints=ViewpointConfig(
+            min_tilt_degrees=20.0, max_tilt_degrees=55.0, nearest=0.8, farthest=1.4, look_at_jitter=0.1
+        ),
+        distractors=DistractorConfig(("builtin",), ("",), 0.5),
+    )
+
+
 PRESETS: dict[str, Callable[[], BuildConfig]] = {
     "default": default,
     "sileane": sileane,
     "icvl": icvl,
+    "domestic": domestic,
     "demo": demo,
     "debug": debug,
 }

@@ -16,10 +16,12 @@ from evalkit.geometry.camera import Camera
 from evalkit.meshes.units import CHOICES
 from simgen.commands.parsing import parse_bin, parse_instances, parse_range
 from simgen.config import RENDERERS, BuildConfig
+from simgen.config_sections import DistractorConfig
 from simgen.presets import PRESETS, default_camera
 from simgen.rendering.measured_table import read_table
 from simgen.sensors.sensor_config import parse_sensor
 
+DEFAULT_SHARE = 0.3  # of distractors
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -84,6 +86,13 @@ pile_options = _group(
     click.option(
         "--walls", type=float, help="Share of the scenes whose bin has walls; in the others they are lifted off."
     ),
+    click.option(
+        "--distractors",
+        metavar="FILES|builtin",
+        help="Foreign things among the parts, without labels: mesh files with commas between, or other parts, packing, "
+        "a finger and cables; none leaves them out.",
+    ),
+    click.option("--share", type=float, help="Distractors' share of all that lies in a scene.  [default: 0.3]"),
 )
 camera_options = _group(
     click.option("--views", type=int, help="Cameras a scene."),
@@ -180,6 +189,8 @@ def configured(
     bin_jitter: float | None = None,
     walls: float | None = None,
     sensor_text: str | None = None,
+    distractors: str | None = None,
+    share: float | None = None,
     **numbers: Any,
 ) -> BuildConfig:
     """The preset, or another config, with the options that were given in place of its values.
@@ -192,6 +203,8 @@ def configured(
         changes["instances_min"], changes["instances_max"] = parse_instances(instances)
     if bin_text is not None:
         changes["bin"] = parse_bin(bin_text)
+    if distractors is not None or share is not None:
+        changes["distractors"] = _distractors(preset.distractors, distractors, share)
     if sensor_text is not None:
         changes["sensor"] = parse_sensor(sensor_text)
     if camera_file is not None:
@@ -219,3 +232,18 @@ def configured(
     pile: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     changes["viewpoints"], changes["pile"] = replace(preset.viewpoints, **views), replace(preset.pile, **pile)
     return replace(preset, **changes)
+
+
+def _distractors(known: DistractorConfig | None, text: str | None, share: float | None) -> DistractorConfig | None:
+    """The config's distractors with what the options say."""
+    from simgen.objects.foreign_things import parse_distractors  # only here: it brings trimesh
+
+    if text == "none":
+        if share is not None:
+            raise InputError(f"--share {share:g}: of no distractors; leave one of both options out.")
+        return None
+    if text is not None:
+        return parse_distractors(text, (DEFAULT_SHARE if known is None else known.share) if share is None else share)
+    if known is None:
+        raise InputError(f"--share {share:g}: of which distractors? Give --distractors builtin, or mesh files, too.")
+    return known if share is None else replace(known, share=share)

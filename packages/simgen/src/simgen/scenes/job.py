@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from simgen.physics.bin_size import scene_bin
 from simgen.scenes.identity import fingerprint, identity_of
 from simgen.scenes.recorded import RecordedScenes
 from simgen.scenes.software import physics_software, rendering_software
+
+if TYPE_CHECKING:
+    from simgen.objects.foreign_things import Thing
 
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
 
@@ -65,6 +68,22 @@ class Job:
             origin, physics = self.recorded.origin, self.recorded.software
         config, software = self.config.to_json() | origin, rendering_software() | physics
         return ShardHeader(self.config.camera, self.depth_unit, self.model, config, self.config.seed, software)
+
+    @cached_property
+    def foreign_things(self) -> list[Thing]:
+        """What the config's distractors are drawn from.
+
+        Raises:
+            InputError: a file of theirs is missing, or not what it was.
+        """
+        from simgen.objects.foreign_things import things_of  # only here: the built-in shapes come with PyBullet
+
+        found = self.config.distractors
+        return (
+            []
+            if found is None
+            else things_of(found, str(self.model.notes.get("source", self.model.name)), self.model.diameter)
+        )
 
     @cached_property
     def identity(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from simgen.physics.bin_shape import bin_mesh
 from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.renderers import depth_renderer
 from simgen.rendering.viewpoints import draw_viewpoints
+from simgen.scenes.distractors import Mesh, joined, put_distractors
 from simgen.scenes.job import Job
 from simgen.sensors.sensor import measure, sensor_generator
 
@@ -25,7 +26,7 @@ class SceneRenderer:
     def views(self, scene: Scene) -> Iterator[View]:
         """The scene's frames, one for each of its cameras."""
         config, model, unit = self._job.config, self._job.model, self._job.depth_unit
-        self._renderer.set_background(*bin_mesh(self._job.scene_bin(scene.index)))
+        self._renderer.set_background(*self._background(scene))
         for view, cam_from_world in enumerate(scene.cam_from_world):
             cam_from_obj = cam_from_world @ scene.world_from_obj
             rendering = self._renderer.render(cam_from_obj, cam_from_world)
@@ -45,6 +46,16 @@ class SceneRenderer:
                 view_index=view,
                 depth_ideal_raw=quantized(rendering.depth, unit) if config.keep_ideal else None,
             )
+
+    def _background(self, scene: Scene) -> Mesh:
+        """What is no instance: the bin, and foreign things."""
+        job, size = self._job, self._job.scene_bin(scene.index)
+        bin_itself, found = bin_mesh(size), job.config.distractors
+        if found is None:
+            return bin_itself
+        where = (size, job.model.diameter, job.config.seed, scene.index)
+        put = put_distractors(job.foreign_things, found.share, job.model.mesh, scene.world_from_obj, *where)
+        return joined([bin_itself, *put])
 
 
 def compile_renderer(job: Job) -> None:
