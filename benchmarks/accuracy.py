@@ -25,7 +25,7 @@ COLUMNS = [
     "test",
     "minutes",
     "images",
-    "visible",
+    "visible (geometric)",
     "AP alone",
     "AP refined",
     "ms alone",

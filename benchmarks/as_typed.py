@@ -38,7 +38,7 @@ def main() -> None:
     pipeline.fit(options.minutes)
     rows = [row for sensor in options.sensors for row in pipeline.score(sensor)]
     print("\n" + pipeline.minutes_table())
-    print("\n" + table(["test images", "visible", "AP alone", "95 %", "AP refined", "95 %"], rows))
+    print("\n" + table(["test images", "visible (geometric)", "AP alone", "95 %", "AP refined", "95 %"], rows))
 
 
 @dataclass

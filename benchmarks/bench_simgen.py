@@ -151,7 +151,7 @@ def measure_frame(job: Job, measured: Measured, renderer: DepthRenderer, scene: 
     rendering = measured.timed("raster", repeats, renderer.render, cam_from_obj, cam_from_world)
     depth = measured.timed("quantize", repeats, quantized, rendering.depth, job.depth_unit)
     labels = measured.timed("labels", repeats, label_instances, rendering, depth, cam_from_obj, job.model, camera)
-    measured.visibility.extend(labels.visibility.tolist())
+    measured.visibility.extend(labels.visibility_geometric.tolist())
     return View(camera, depth, job.depth_unit, rendering.instance_id, cam_from_world, labels, scene.index, view)
 
 
@@ -236,7 +236,7 @@ def report_piles(job: Job, measured: Measured) -> None:
         quantiles = np.percentile(values, [50, 95, 99, 100])
         print(f"  {name:<28}" + "".join(f"{q:>6} {v:6.3f}" for q, v in zip(NAMES, quantiles, strict=True)))
     deciles = " ".join(f"{v:.2f}" for v in np.percentile(measured.visibility, range(10, 100, 10)))
-    print(f"  visibility: mean {np.mean(measured.visibility):.2f}, deciles {deciles}")
+    print(f"  geometric visibility: mean {np.mean(measured.visibility):.2f}, deciles {deciles}")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@
 
 Sock et al. (BMVC 2018) claim that each of these gains: the offset network, several hypotheses, joint registration, and
 learning all tasks together. Everything is kept in --out and continued from there. AP is Sym, Siléane protocol, on
-scenes of another seed; of the tasks, the median errors on the true boxes of instances at least half visible; of
-registration, AP with it less AP of the same network without, with the interval of `evalkit compare`.
+scenes of another seed, of instances at least half visible (geometric); of the tasks, the median errors on the true
+boxes of instances with half of them returned; of registration, AP with it less AP of the same network without, with the
+interval of `evalkit compare`.
 """
 
 from __future__ import annotations

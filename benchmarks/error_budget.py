@@ -61,22 +61,23 @@ ROWS: dict[str, tuple[str, ...]] = {
 BOX_SCORE = 0.95  # of a true box: surer than most that are found, but nothing that a network never sees
 LEAST_OVERLAP = 0.3  # IoU; a box that overlaps no instance so much shows none
 LOWEST_BAND = 0.2
+RULES = Settings(visibility="geometric")
 SURE = -20.0  # logit of what a head excludes
 
 
 @dataclass(frozen=True, eq=False)
 class TrueInstances:
-    """One image's instances that have a visible pixel, on the pixel grid that the network sees."""
+    """One image's instances that have a pixel with a return, on the pixel grid that the network sees."""
 
     cam_from_obj: Tensor  # (n, 4, 4)
-    boxes: Tensor  # (n, 4) visible boxes
-    visibility: Tensor  # (n,)
+    boxes: Tensor  # (n, 4) around the pixels with a return
+    visibility: Tensor  # (n,) returned share
 
     @classmethod
     def of(cls, labels: Instances, scale: tuple[float, float], device: torch.device) -> TrueInstances:
-        seen = labels[labels.pixels_visible > 0]
-        boxes = seen.box_visible * np.array([*scale, *scale])
-        arrays = (seen.cam_from_obj, boxes, seen.visibility)
+        seen = labels[labels.pixels_returned > 0]
+        boxes = seen.box_returned * np.array([*scale, *scale])
+        arrays = (seen.cam_from_obj, boxes, seen.visibility_returned)
         return cls(*(torch.tensor(np.asarray(array), dtype=torch.float32, device=device) for array in arrays))
 
 
@@ -182,7 +183,7 @@ class Study:
         for network in self.networks:
             network.__class__ = PartlyTrueNetwork
         images_of = [labeled_image(*self.dataset.locate(frame)) for frame in self.frames]
-        self.truth = GroundTruth(self.dataset.header.object, images_of, source=str(shards))
+        self.truth = GroundTruth(self.dataset.header.object, images_of, source=str(shards), share="geometric")
         require_same_subject(self._document([]), self.truth)
 
     def row(self, name: str) -> Budget:
@@ -215,10 +216,9 @@ class Study:
         return predictor.predict(depth, camera)
 
     def _scored(self, images: list[PredictionImage]) -> tuple[float, list[float]]:
-        settings = Settings()
-        subject = Subject.of(self._document(images), self.truth, settings)
-        bands = [band.ap for band in by_visibility(subject, settings) if band.low >= LOWEST_BAND - 1e-9]
-        return subject.score(settings, subject.pairs(settings)).ap, bands
+        subject = Subject.of(self._document(images), self.truth, RULES)
+        bands = [band.ap for band in by_visibility(subject, RULES) if band.low >= LOWEST_BAND - 1e-9]
+        return subject.score(RULES, subject.pairs(RULES)).ap, bands
 
     def _document(self, images: list[PredictionImage]) -> Predictions:
         model = self.predictors[0].model
@@ -258,7 +258,7 @@ def main(words: list[str] | None = None) -> None:
         raise InputError(f"--images {options.images}: must be 1 or more.")
     study = Study(options.model, options.shards, options.images, options.device)
     instances = sum(int((image.visibility >= 0.5).sum()) for image in study.truth.images)
-    print(f"{options.model} on {len(study.frames)} images of {options.shards}, {instances} instances to find")
+    print(f"{options.model} on {len(study.frames)} images of {options.shards}, {instances} to find: {RULES.asked}")
     for line in table(study.row(name) for name in ROWS):
         print(line, flush=True)
 

@@ -34,6 +34,7 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel, sample_surface_with_normals
 from evalkit.scoring.evaluation import average_precision
+from evalkit.scoring.rules import Settings
 from posenet.prediction.predictor import Predictor
 from posenet.refinement.refiner import Refiner, observed_normals
 
@@ -107,7 +108,8 @@ def compare(model: Path, shards: Path, images: int, python: Path) -> Iterator[st
     vertices, faces = head.object.vertices, head.object.faces
     if vertices is None or faces is None:
         raise InputError(f"{shards}: its object has no mesh, which point pair features are made of.")
-    truth = GroundTruth(head.object, [labeled_image(*dataset.locate(frame)) for frame in frames], source=str(shards))
+    images_of = [labeled_image(*dataset.locate(frame)) for frame in frames]
+    truth = GroundTruth(head.object, images_of, source=str(shards), share="geometric")
     refiner = Refiner(head.object)
     for predictor in predictors:  # compiled and warm before any time is taken
         predictor.predict(views[0].depth, head.camera)
@@ -130,7 +132,8 @@ def compare(model: Path, shards: Path, images: int, python: Path) -> Iterator[st
             for method, predictor in ((alone, predictors[0]), (whole, predictors[1])):
                 found, wall, cpu = _timed(predictor.predict, view.depth, head.camera)
                 method.add(view.image_id, found.cam_from_obj, found.score, wall, cpu)
-    yield f"{len(views)} images of {shards}, {sum(int((i.visibility >= 0.5).sum()) for i in truth.images)} to find"
+    asked = sum(int((image.visibility >= 0.5).sum()) for image in truth.images)
+    yield f"{len(views)} images of {shards}, {asked} instances to find: {Settings(visibility='geometric').asked}"
     yield "| method | AP | hypotheses an image | seconds an image | CPU seconds an image |"
     yield "|---|---|---|---|---|"
     for method in (bare, processed, alone, whole):

@@ -57,6 +57,30 @@ def reference() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def as_schema_1() -> Callable[[Path], None]:
+    """`as_schema_1(folder)`: its shards and dataset.json turned into those of the first schema, in place."""
+    return _as_schema_1
+
+
+def _as_schema_1(folder: Path) -> None:
+    import h5py
+
+    from evalkit.datasets.shard_format import COUNTED_FIELDS, OLD_NAMES, OLD_SCHEMA, SCHEMA, seal
+
+    for path in folder.glob("shard-*.h5"):
+        with h5py.File(path, "r+") as file:
+            file.attrs["schema"] = OLD_SCHEMA
+            for name in COUNTED_FIELDS:
+                del file[name]
+            for name, old in OLD_NAMES.items():
+                file.move(name, old)
+        seal(path, OLD_SCHEMA)
+    description = folder / "dataset.json"
+    if description.is_file():
+        description.write_text(description.read_text(encoding="utf-8").replace(SCHEMA, OLD_SCHEMA), encoding="utf-8")
+
+
 @pytest.fixture
 def chromium(tmp_path: Path) -> Callable[..., str]:
     """`chromium("--dump-dom", address)`: what a headless browser prints, without a GPU."""

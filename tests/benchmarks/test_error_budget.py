@@ -45,7 +45,7 @@ def test_with_everything_true_every_instance_that_is_seen_is_found(study):
 def test_true_boxes_and_poses_give_the_true_poses(study, budget):
     frame = study.frames[0]
     labels = study.dataset[frame].instances
-    asked = labels[labels.visibility >= 0.2]
+    asked = labels[labels.visibility_returned >= 0.2]
     found = study._predict(0, frame, ("boxes", *budget.POSE_STAGES))
     for pose in asked.cam_from_obj:
         distance = np.abs(found.cam_from_obj - pose).reshape(len(found.score), -1).max(1)

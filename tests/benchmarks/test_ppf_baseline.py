@@ -32,7 +32,7 @@ def test_the_cloud_has_a_point_and_a_normal_toward_the_camera_for_every_usable_p
 
 def test_many_raw_hypotheses_become_one_fitted_pose_an_instance(baseline, view, debug_shards):
     model = ShardDataset(debug_shards).header.object
-    truth = view.instances.cam_from_obj[view.instances.visibility > 0.9]
+    truth = view.instances.cam_from_obj[view.instances.visibility_geometric > 0.9]
     rng = np.random.default_rng(0)
     shaken = np.concatenate([truth] * 5)
     shaken[:, :3, 3] += rng.normal(0, 0.003, (len(shaken), 3))

@@ -69,7 +69,8 @@ def test_the_chapters_on_cameras_and_objects_name_every_field() -> None:
 
 def test_the_chapters_on_documents_name_every_field(tmp_path: Path) -> None:
     pose, one = np.eye(4)[None], np.ones(1)
-    write_ground_truth(tmp_path / "gt.json", GroundTruth(box(), [GroundTruthImage("a", CAMERA, pose, one)]))
+    truth = GroundTruth(box(), [GroundTruthImage("a", CAMERA, pose, one, one)], share="geometric")
+    write_ground_truth(tmp_path / "gt.json", truth)
     write_predictions(tmp_path / "preds.json", Predictions("box", [PredictionImage("a", pose, one)]))
     for name, rows, anchor in (("gt.json", "instances", "gt"), ("preds.json", "hypotheses", "preds")):
         document = json.loads((tmp_path / name).read_text(encoding="utf-8"))

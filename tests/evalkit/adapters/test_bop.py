@@ -278,7 +278,7 @@ def test_missing_visibility_is_asked_for_and_may_be_given(split, tmp_path):
         bop.read_ground_truth(split, object_id=1)
     full = bop.read_ground_truth(split, object_id=1, visibility="full")
     assert full.images[0].visibility.tolist() == [1, 1]
-    assert any("fully visible" in remark for remark in full.remarks)
+    assert any("fully visible" in remark for remark in full.remarks) and full.share is None
     (tmp_path / "seen.json").write_text(json.dumps({"000001-000003": [0.5, 0.6], "000001-000004": []}))
     given = bop.read_ground_truth(split, object_id=1, visibility=str(tmp_path / "seen.json"))
     assert given.images[0].visibility.tolist() == [0.5, 0.6]

@@ -92,13 +92,18 @@ def test_visibility_and_mesh_are_asked_for(tmp_path, mesh):
         icvl.read_ground_truth(tmp_path / "test", visibility="most", **mesh)
 
 
-@pytest.mark.parametrize(("depth_mm", "share"), [(1000, 1.0), (808, 1.0), (700, 0.0), (0, 0.0)])
-def test_visibility_is_read_off_the_depth_images(tmp_path, mesh, depth_mm, share):
+@pytest.mark.parametrize(
+    ("depth_mm", "geometric", "returned"), [(1000, 1.0, 1.0), (808, 1.0, 1.0), (700, 0.0, 0.0), (0, 1.0, 0.0)]
+)
+def test_both_shares_are_read_off_the_depth_images(tmp_path, mesh, depth_mm, geometric, returned):
     scene = write_scene(tmp_path / "test" / "01", instances=0, images=(5,), depth_mm=depth_mm)
     write_matrix(scene / "coffee_cup1_5.txt", np.eye(3), [0, 0, -0.81])
-    truth = icvl.read_ground_truth(tmp_path / "test", visibility="depth", **mesh)
-    assert truth.images[0].visibility.tolist() == [share]
-    assert any("estimated from the depth images" in remark for remark in truth.remarks)
+    for word, first, other in (("depth", geometric, returned), ("returned", returned, geometric)):
+        truth = icvl.read_ground_truth(tmp_path / "test", visibility=word, **mesh)
+        assert truth.share == ("returned" if word == "returned" else "geometric")
+        assert truth.images[0].visibility.tolist() == [first]
+        assert truth.images[0].other_visibility.tolist() == [other]
+        assert any("estimated from the depth images" in remark for remark in truth.remarks)
 
 
 CAMERA = Camera(200, 160, 400.0, 400.0, 99.5, 79.5)
@@ -106,7 +111,8 @@ CAMERA = Camera(200, 160, 400.0, 400.0, 99.5, 79.5)
 
 def seen(*translations):
     cam_from_obj = poses.from_rotation_translation(np.eye(3), np.array(translations))
-    return seen_in_depth(np.full((160, 200), 2.0), CAMERA, ObjectModel.from_mesh("square", SQUARE, FACES), cam_from_obj)
+    model = ObjectModel.from_mesh("square", SQUARE, FACES)
+    return seen_in_depth(np.full((160, 200), 2.0), CAMERA, model, cam_from_obj)[0]
 
 
 def test_instances_hide_each_other_however_close_they_lie():
@@ -133,7 +139,7 @@ def test_visibility_does_not_depend_on_the_files_origin(offset):
             CAMERA,
             ObjectModel.from_mesh("squares", vertices + shift, faces),
             poses.from_rotation_translation(rotation, [[-0.02, 0, 0.6], [0.08, 0, 0.6]] - rotation @ shift),
-        )
+        )[0]
         for shift in (np.zeros(3), np.array(offset))
     ]
     assert 0.1 < shares[0][0] < 0.9

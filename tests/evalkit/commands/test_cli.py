@@ -51,8 +51,8 @@ def shards(tmp_path_factory):
             place = poses.from_rotation_translation(poses.random_rotations(rng, 2), [[-0.1, 0, 0.5], [0.1, 0, 0.5]])
             writer.append(View(
                 CAMERA, np.full((60, 80), 6000, np.uint16), 1e-4, np.zeros((60, 80), np.uint16), np.eye(4),
-                Instances(np.arange(2), place, np.array([1.0, 0.3]), *np.ones((2, 2), int), *np.zeros((2, 2, 4), int),
-                          np.zeros((2, 2))), 7, view))  # fmt: skip
+                Instances(np.arange(2), place, *np.array([[1.0, 0.3], [0.8, 0.3]]), *np.ones((3, 2), int),
+                          *np.zeros((2, 2, 4), int), np.zeros((2, 2))), 7, view))  # fmt: skip
     return path
 
 

@@ -48,10 +48,12 @@ def random_view(scene: int, view: int) -> View:
     labels = Instances(
         instance=np.arange(n, dtype=np.int32),
         cam_from_obj=poses.from_rotation_translation(poses.random_rotations(rng, n), rng.normal(size=(n, 3))),
-        visibility=rng.random(n, np.float32),
-        pixels_visible=rng.integers(0, 99, n, np.int32),
+        visibility_geometric=rng.random(n, np.float32),
+        visibility_returned=rng.random(n, np.float32),
+        pixels_geometric=rng.integers(0, 99, n, np.int32),
+        pixels_returned=rng.integers(0, 99, n, np.int32),
         pixels_full=rng.integers(0, 99, n, np.int32),
-        box_visible=rng.integers(0, 20, (n, 4), np.int32),
+        box_returned=rng.integers(0, 20, (n, 4), np.int32),
         box_full=rng.integers(-50, 50, (n, 4), np.int32),
         center_px=rng.normal(size=(n, 2)).astype(np.float32),
     )

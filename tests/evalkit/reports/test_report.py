@@ -54,7 +54,7 @@ def shards(tmp_path_factory):
         for frame in range(6):
             place = poses.from_rotation_translation(poses.random_rotations(rng, 2), [[-0.1, 0, 0.5], [0.1, 0, 0.5]])
             depth = rng.integers(5500, 6500, (60, 80)).astype(np.uint16)
-            labels = Instances(np.arange(2), place, np.array([1.0, 0.3]), *np.ones((2, 2), int),
+            labels = Instances(np.arange(2), place, *np.array([[1.0, 0.3], [0.9, 0.2]]), *np.ones((3, 2), int),
                                *np.zeros((2, 2, 4), int), np.zeros((2, 2)))  # fmt: skip
             writer.append(
                 View(CAMERA, depth, 1e-4, np.zeros((60, 80), np.uint16), np.eye(4), labels, frame // 2, frame % 2)

@@ -17,7 +17,8 @@ from evalkit.scoring.published import TABLES, closest_table, conditions
 
 @pytest.fixture
 def result(plain_model, make_crowd):
-    return average_precision(*make_crowd(replace(plain_model, name="bunny"), 0), protocol="sileane-toolbox")
+    predictions, truth = make_crowd(replace(plain_model, name="bunny"), 0)
+    return average_precision(predictions, replace(truth, share="returned"), protocol="sileane-toolbox")
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.key)
@@ -67,6 +68,7 @@ def test_images_of_our_simulation_are_said_to_differ(result):
         ({"threshold": 0.05}, "criterion"),
         ({"criterion": "add", "protocol": "sileane"}, "criterion"),
         ({"min_visibility": 0.4}, "instances to find"),
+        ({"visibility": "geometric"}, "instances to find"),
         ({"protocol": "coco"}, "protocol"),
         ({"max_results": 5}, "protocol"),
     ],

@@ -68,10 +68,12 @@ def test_labels_obey_their_laws(built: Path) -> None:
         labels = view.instances
         assert 2 <= len(labels) <= 4
         assert poses.is_rotation(labels.cam_from_obj[:, :3, :3], 1e-9).all()
-        assert (labels.visibility >= 0).all() and (labels.visibility <= 1).all()
+        visibility = labels.visibility("geometric")
+        assert (visibility >= 0).all() and (visibility <= 1).all()
         visible = np.bincount(view.instance_id[view.depth_raw > 0], minlength=len(labels) + 1)[1:]
-        assert np.array_equal(visible, labels.pixels_visible)
-        assert labels.visibility.max() > 0.5, "something lies on top"
+        assert np.array_equal(visible, labels.pixels_returned)
+        assert np.array_equal(visible, labels.pixels_geometric), "no sensor loses any"
+        assert visibility.max() > 0.5, "something lies on top"
         assert (view.depth_raw > 0).mean() > 0.95, "the bin and the ground give depth"
 
 

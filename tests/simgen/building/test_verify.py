@@ -125,13 +125,14 @@ def raise_depth(file: h5py.File) -> None:
 
 ROW = 5  # the first instance of frame 1
 LABEL_CHANGES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
-    "visibility above one": (set_value("visibility", ROW, 1.5), "visibility of instance 0"),
-    "visibility not a number": (set_value("visibility", ROW, np.nan), "visibility of instance 0"),
-    "visibility slightly off": (set_value("visibility", ROW, 0.123), "visibility of instance 0"),
-    "a visible pixel too many": (set_value("pixels_visible", ROW + 1, 1), "pixels_visible of instance 1"),
+    "visibility above one": (set_value("visibility_returned", ROW, 1.5), "visibility_returned of instance 0"),
+    "visibility not a number": (set_value("visibility_geometric", ROW, np.nan), "visibility_geometric of instance 0"),
+    "visibility slightly off": (set_value("visibility_returned", ROW, 0.123), "visibility_returned of instance 0"),
+    "a visible pixel too many": (set_value("pixels_geometric", ROW + 1, 1), "pixels_geometric of instance 1"),
+    "a returned pixel too many": (set_value("pixels_returned", ROW + 1, 1), "pixels_returned of instance 1"),
     "more visible than there are": (set_value("pixels_full", ROW, 1), "more visible pixels"),
-    "a loose box": (set_value("box_visible", (ROW, 0), 0), "box_visible of instance 0"),
-    "a box for what is hidden": (set_value("box_visible", ROW + 4, [1, 1, 5, 5]), "box_visible of instance 4"),
+    "a loose box": (set_value("box_returned", (ROW, 0), 0), "box_returned of instance 0"),
+    "a box for what is hidden": (set_value("box_returned", ROW + 4, [1, 1, 5, 5]), "box_returned of instance 4"),
     "a full box too small": (set_value("box_full", ROW, [0, 0, 1, 1]), "box_full of instance 0"),
     "a center elsewhere": (set_value("center_px", (ROW + 2, 0), 3.0), "center_px of instance 2"),
     "a center not a number": (set_value("center_px", (ROW + 2, 0), np.nan), "center_px of instance 2"),
@@ -142,7 +143,7 @@ LABEL_CHANGES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "an instance twice": (set_value("instance", ROW + 1, 0), "two labels"),
     "an instance that does not fit": (set_value("instance", ROW + 1, 70000), "16 bits"),
     "an unknown id": (set_value("instance_id", (1, 0, 0), 99), "instance_id holds 99"),
-    "pixels of another instance": (shift_pixels, "pixels_visible of instance 1"),
+    "pixels of another instance": (shift_pixels, "pixels_geometric of instance 1"),
     "depth far off the instance": (raise_depth, "outside its bounding sphere"),
 }
 

@@ -14,6 +14,7 @@ from evalkit.adapters.bop import dataset as bop
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets.ground_truth import read_ground_truth
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.datasets.visibility_share import with_share
 from simgen.exports import foreign_formats as export
 from simgen.exports.foreign_formats import export_bop, export_sileane, open_whole
 
@@ -59,6 +60,7 @@ def assert_same_truth(back, truth, name=str):
         assert found.camera == image.camera
         np.testing.assert_allclose(found.cam_from_obj, image.cam_from_obj, rtol=0, atol=1e-9)
         np.testing.assert_allclose(found.visibility, image.visibility, rtol=0, atol=1e-7)
+    assert back.share == truth.share
 
 
 def assert_same_depth(images, dataset):
@@ -75,7 +77,7 @@ def test_bop_keeps_poses_cameras_visibility_and_every_step_of_depth(bop_set, dat
 
 
 def test_sileane_keeps_poses_cameras_visibility_and_every_step_of_depth(sileane_set, dataset, truth):
-    assert_same_truth(sileane.read_ground_truth(sileane_set), truth)
+    assert_same_truth(sileane.read_ground_truth(sileane_set), with_share(truth, "returned"))
     assert_same_depth(sileane.depth_images(sileane_set), dataset)
 
 
@@ -93,9 +95,10 @@ def test_bops_masks_say_what_its_numbers_say(bop_set, dataset):
             name = f"{view.view_index:06d}_{row:06d}.png"
             whole, seen = (cv2.imread(str(folder / kind / name), -1) == 255 for kind in ("mask", "mask_visib"))
             assert not (seen & ~whole).any()
-            assert seen.sum() == info["px_count_visib"] == view.instances.pixels_visible[row]
+            assert seen.sum() == info["px_count_visib"] == view.instances.pixels_geometric[row]
             assert (whole & (view.depth_raw > 0)).sum() == info["px_count_valid"]
-            assert info["px_count_visib"] <= info["px_count_valid"] <= info["px_count_all"]
+            assert max(info["px_count_visib"], info["px_count_valid"]) <= info["px_count_all"]
+            assert info["visib_fract"] == pytest.approx(info["px_count_visib"] / max(info["px_count_all"], 1), abs=1e-6)
             if whole.sum() == info["px_count_all"]:  # nothing of it lies beyond the frame
                 v, u = np.nonzero(whole)
                 box = [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
@@ -119,7 +122,7 @@ def test_sileanes_segmentation_holds_the_ids_that_its_labels_name(sileane_set, d
     ids = cv2.imread(str(sileane_set / "segmentation" / f"{view.image_id}.PNG"), cv2.IMREAD_UNCHANGED)
     rows = json.loads((sileane_set / "gt" / f"{view.image_id}.json").read_text())
     counts = [int(((ids == row["segmentation_id"]) & (view.depth_raw > 0)).sum()) for row in rows]
-    assert counts == view.instances.pixels_visible.tolist()
+    assert counts == view.instances.pixels_returned.tolist()
 
 
 @pytest.mark.parametrize(

@@ -31,10 +31,12 @@ def labeled_view(scene: int, view: int, visibility: float = 0.75) -> View:
     labels = Instances(
         instance=np.array([0, 1], np.int32),
         cam_from_obj=cam_from_obj,
-        visibility=np.array([visibility, 0], np.float32),
-        pixels_visible=np.array([400, 0], np.int32),
+        visibility_geometric=np.array([visibility, 0], np.float32),
+        visibility_returned=np.array([visibility, 0], np.float32),
+        pixels_geometric=np.array([400, 0], np.int32),
+        pixels_returned=np.array([400, 0], np.int32),
         pixels_full=np.array([int(400 / visibility), 300], np.int32),
-        box_visible=np.array([[30, 20, 50, 40], [0, 0, 0, 0]], np.int32),
+        box_returned=np.array([[30, 20, 50, 40], [0, 0, 0, 0]], np.int32),
         box_full=np.array([[30, 20, 50, 40], [30, 20, 50, 40]], np.int32),
         center_px=CAMERA.project(MODEL.centers(cam_from_obj)).astype(np.float32),
     )

@@ -33,7 +33,7 @@ def view_of(scene: int, view: int, world_from_obj: np.ndarray, visible: list[flo
     cam_from_obj = FROM_ABOVE @ world_from_obj
     shown = (100 * np.array(visible)).astype(np.int32)
     labels = Instances(
-        np.arange(count, dtype=np.int32), cam_from_obj, np.array(visible, np.float32), shown,
+        np.arange(count, dtype=np.int32), cam_from_obj, *np.array([visible, visible], np.float32), shown, shown,
         np.full(count, 100, np.int32), *np.zeros((2, count, 4), np.int32), np.zeros((count, 2), np.float32),
     )  # fmt: skip
     return View(CAMERA, depth, 1e-4, ids, FROM_ABOVE, labels, scene, view)

@@ -137,7 +137,7 @@ def test_a_build_has_the_same_poses_and_labels(
     assert theirs.header.config["renderer"] == "pyrender"
     for a, b in zip(ours, theirs, strict=True):
         assert (a.instances.cam_from_obj == b.instances.cam_from_obj).all()
-        assert a.instances.visibility == pytest.approx(b.instances.visibility, abs=0.02)
+        assert a.instances.visibility_geometric == pytest.approx(b.instances.visibility_geometric, abs=0.02)
         assert (a.instance_id == b.instance_id).mean() > 0.999
 
 

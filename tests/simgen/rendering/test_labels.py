@@ -51,21 +51,42 @@ def test_visibility_and_boxes_equal_a_brute_force_count(seed: int, drop_out: flo
     labels, rendering, depth_raw = labeled(seed, drop_out)
     larger = Camera(360, 270, CAMERA.fx, CAMERA.fy, CAMERA.cx + 120, CAMERA.cy + 90)
     for row, pose in enumerate(crowd(seed)):
-        visible = (rendering.instance_id == row + 1) & (depth_raw > 0)
+        nearest = rendering.instance_id == row + 1
+        returned = nearest & (depth_raw > 0)
         whole = rendered(pose[None], larger).instance_id > 0
-        assert labels.pixels_visible[row] == visible.sum()
+        assert labels.pixels_geometric[row] == nearest.sum()
+        assert labels.pixels_returned[row] == returned.sum()
         assert labels.pixels_full[row] == whole.sum()
-        assert labels.visibility[row] == pytest.approx(visible.sum() / whole.sum())
-        assert labels.box_visible[row].tolist() == box_of(visible)
+        assert labels.visibility_geometric[row] == pytest.approx(nearest.sum() / whole.sum())
+        assert labels.visibility_returned[row] == pytest.approx(returned.sum() / whole.sum())
+        assert labels.box_returned[row].tolist() == box_of(returned)
         assert labels.box_full[row].tolist() == (np.array(box_of(whole)) - [120, 90, 120, 90]).tolist()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_without_holes_in_the_depth_both_shares_are_the_same(seed: int) -> None:
+    labels, _, _ = labeled(seed)
+    assert np.array_equal(labels.visibility_geometric, labels.visibility_returned)
+    assert np.array_equal(labels.pixels_geometric, labels.pixels_returned)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_sensor_loses_changes_the_returned_share_alone(seed: int) -> None:
+    ideal, _, _ = labeled(seed)
+    for drop_out in (0.1, 0.5, 1.0):
+        holed, _, _ = labeled(seed, drop_out)
+        assert np.array_equal(holed.visibility_geometric, ideal.visibility_geometric)
+        assert (holed.visibility_returned <= holed.visibility_geometric).all()
+        assert holed.visibility_returned.sum() < ideal.visibility_returned.sum()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_visibility_lies_between_nought_and_one(seed: int) -> None:
     labels, rendering, _ = labeled(seed)
-    assert (labels.visibility >= 0).all() and (labels.visibility <= 1).all()
-    assert 0 < labels.visibility.min() + labels.visibility.max() < 2, "some hide others"
-    assert labels.pixels_visible.sum() == (rendering.instance_id > 0).sum()
+    visibility = labels.visibility("geometric")
+    assert (visibility >= 0).all() and (visibility <= 1).all()
+    assert 0 < visibility.min() + visibility.max() < 2, "some hide others"
+    assert labels.pixels_geometric.sum() == (rendering.instance_id > 0).sum()
 
 
 def test_an_instance_out_of_sight_has_no_visible_pixel_and_still_a_row() -> None:
@@ -74,8 +95,8 @@ def test_an_instance_out_of_sight_has_no_visible_pixel_and_still_a_row() -> None
     rendering = rendered(pose)
     labels = label_instances(rendering, quantized(rendering.depth, UNIT), pose, MODEL, CAMERA)
     assert labels.instance.tolist() == [0, 1]
-    assert labels.visibility[1] == 0 and labels.pixels_full[1] > 0
-    assert labels.box_visible[1].tolist() == [0, 0, 0, 0]
+    assert labels.visibility("geometric")[1] == labels.visibility("returned")[1] == 0 and labels.pixels_full[1] > 0
+    assert labels.box_returned[1].tolist() == [0, 0, 0, 0]
 
 
 def test_the_center_is_the_projected_centroid() -> None:

@@ -148,7 +148,7 @@ def test_what_is_no_scenes_file_is_refused_in_one_sentence(built: Path, tmp_path
         (tmp_path / "nowhere.h5", "no such scenes file"),
         (tmp_path / "text.h5", "not a readable HDF5 file"),
         (tmp_path / "empty.h5", "not a readable HDF5 file"),
-        (built / shard_name(0), "its schema is 'binpose-shard/1', not 'binpose-scenes/1'"),
+        (built / shard_name(0), "its schema is 'binpose-shard/2', not 'binpose-scenes/1'"),
     ):
         sentence = refusal(run("render", path, "-o", tmp_path / "out"))
         assert words in sentence and str(path) in sentence

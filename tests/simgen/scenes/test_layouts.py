@@ -54,8 +54,8 @@ def test_published_scenes_are_seen_by_their_camera_in_their_order(folder: Path, 
     dataset = ShardDataset(tmp_path / "out")
     assert dataset.header.config["layouts"] == {"format": "sileane", "scenes": ["a", "b"]}
     sunk, stack = dataset
-    assert stack.instances.visibility[1] == 1 and stack.instances.visibility[2] == 1
-    assert stack.instances.visibility[0] == 0, "it lies below the second"
+    assert stack.instances.visibility("geometric")[1:].tolist() == [1, 1]
+    assert stack.instances.visibility("geometric")[0] == 0, "it lies below the second"
     middle = sunk.depth[30, 40], stack.depth[30, 40], stack.depth[0, 0]
     assert middle == pytest.approx((HEIGHT + 0.01, HEIGHT - 0.04, HEIGHT + 0.03), abs=1e-3)
     assert sunk.depth[0, 0] == stack.depth[0, 0], "the ground lies below the sunk box, in both"
@@ -126,7 +126,7 @@ def test_occlusion_agrees_with_the_published(reference: Path, tmp_path: Path) ->
     errors = []
     for view, name in zip(dataset, dataset.header.config["layouts"]["scenes"], strict=True):
         rows = json.loads((reference / "sileane_bunny" / "gt" / f"{name}.json").read_text())
-        errors.append(1 - view.instances.visibility - [row["occlusion_rate"] for row in rows])
+        errors.append(1 - view.instances.visibility_returned - [row["occlusion_rate"] for row in rows])
     assert len(errors) == 3
     assert np.abs(np.concatenate(errors)).mean() < 0.07
     assert np.std(np.concatenate(errors)) < 0.05, "beside the bias"

@@ -251,7 +251,7 @@ def test_a_build_with_a_sensor_is_the_same_bytes_for_any_workers_and_after_an_in
     assert "sensor" in build(tmp_path / "two", "--sensor", "kinect", "--keep-ideal", code=2)
 
 
-def test_labels_count_the_pixels_that_the_sensor_returns(tmp_path: Path) -> None:
+def test_a_sensor_changes_returned_visibility_and_no_other_label(tmp_path: Path) -> None:
     build(tmp_path / "ideal")
     build(tmp_path / "real", "--sensor", "kinect", "--keep-ideal")
     assert verify_shards(tmp_path / "real").problems == []
@@ -263,10 +263,12 @@ def test_labels_count_the_pixels_that_the_sensor_returns(tmp_path: Path) -> None
         assert np.array_equal(real.instance_id, ideal.instance_id)
         assert np.array_equal(real.instances.cam_from_obj, ideal.instances.cam_from_obj)
         assert np.array_equal(real.instances.pixels_full, ideal.instances.pixels_full)
+        assert np.array_equal(real.instances.visibility_geometric, ideal.instances.visibility_geometric)
+        assert np.array_equal(ideal.instances.visibility_returned, ideal.instances.visibility_geometric)
         for row, instance in enumerate(real.instances.instance):
             seen = np.count_nonzero((real.instance_id == instance + 1) & (real.depth_raw > 0))
-            assert seen == real.instances.pixels_visible[row] <= ideal.instances.pixels_visible[row]
-            lost += ideal.instances.pixels_visible[row] - seen
+            assert seen == real.instances.pixels_returned[row] <= ideal.instances.pixels_returned[row]
+            lost += ideal.instances.pixels_returned[row] - seen
     assert lost > 0
 
 

@@ -86,7 +86,8 @@ class TrainConfig:
     ema: float = 0.0  # decay of the moving average of the weights that is validated and kept; 0: none
     clip_gradient: float = 20.0
     object_pixels: float = 67.0  # images are reduced until objects are about so large; 0: never
-    min_visibility: float = 0.2  # instances seen less than this do not train
+    # Instances of less returned visibility do not train: of what the sensor lost, nothing in the image speaks.
+    min_visibility: float = 0.2
     box_jitter: float = 0.08  # of a box's side, uniform
     # Errors of depth cameras drawn on the fly, half as large on shards that have a camera's already; both 0: none.
     augment_noise: float = 0.015  # largest standard deviation of depth, and step of it, in diameters

@@ -76,9 +76,9 @@ def read_ground_truth(
     truths = []
     for image in images:
         cam_from_obj = _poses(image.files.get(name, []))[0]
-        seen = rule.of(image.id, model, view, cam_from_obj, partial(_read_depth, image))
-        truths.append(GroundTruthImage(image.id, view, cam_from_obj, seen))
-    return GroundTruth(model, truths, source=str(folder), remarks=(rule.remark,))
+        shares = rule.of(image.id, model, view, cam_from_obj, partial(_read_depth, image))
+        truths.append(GroundTruthImage(image.id, view, cam_from_obj, *shares))
+    return GroundTruth(model, truths, source=str(folder), remarks=(rule.remark,), share=rule.share)
 
 
 def read_predictions(folder: Path, *, object_name: str | None = None) -> Predictions:

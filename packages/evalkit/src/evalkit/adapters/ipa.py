@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import checked_poses, csv_rows, image_id, numbers
+from evalkit.adapters.visibility import require_share
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
+from evalkit.datasets.scene import Share
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.json_file import load_json
@@ -55,16 +57,19 @@ def read_ground_truth(
     units: str | None = None,
     symmetry: str | None = None,
     camera: Path | None = None,
+    visibility: Share | None = None,
 ) -> GroundTruth:
     """All images of an object's folder (with parameter.json and gt/), or of one folder within its gt/.
 
     Args:
         mesh, units, symmetry: see :func:`evalkit.meshes.load.load_object`.
         camera: our JSON, in place of parameter.json.
+        visibility: the files hold the geometric share alone.
 
     Raises:
-        InputError: a file is missing or is not what it should be, or an option is needed.
+        InputError: a file is missing or is not what it should be, or an option is needed or cannot be met.
     """
+    require_share(visibility, "geometric", "IPA's visibility")
     files = _find(folder)
     if mesh is None:
         raise InputError(f"{folder}: IPA's ground truth carries no model; give --mesh and --units.")
@@ -72,11 +77,11 @@ def read_ground_truth(
     model = replace(load_object(mesh, units, symmetry), name=object_name or "")  # the format names no object
     images = []
     for name, path in files.items():
-        cam_from_obj, visibility = _read_table(path)
-        if ((visibility < -1e-6) | (visibility > 1 + 1e-6)).any():
+        cam_from_obj, seen = _read_table(path)
+        if ((seen < -1e-6) | (seen > 1 + 1e-6)).any():
             raise InputError(f"{path}: the last column, the visibility, must lie between 0 and 1.")
-        images.append(GroundTruthImage(name, view, cam_from_obj, np.clip(visibility, 0.0, 1.0)))
-    return GroundTruth(model, images, source=str(folder))
+        images.append(GroundTruthImage(name, view, cam_from_obj, np.clip(seen, 0.0, 1.0)))
+    return GroundTruth(model, images, source=str(folder), share="geometric")
 
 
 def read_predictions(folder: Path, *, object_name: str | None = None) -> Predictions:

@@ -1,9 +1,10 @@
 """How much of each instance is seen, where a dataset does not say: from a file, from the depth images, or all of it.
 
 From the depth images: an instance's silhouette is that of its surface alone, the part beyond the frame included; a
-pixel of it is visible where no other annotated instance is nearer, the depth image has a return, and that return is
-not more than 15 mm nearer than the surface (Hodaň et al. 2016, "On evaluation of 6D object pose estimation", whose
-tolerance BOP took over). The surface is drawn as points, dense enough that few pixels are missed. As a pixel counts
+pixel of it is visible where no other annotated instance is nearer and no return lies more than 15 mm in front of the
+surface (Hodaň et al. 2016, "On evaluation of 6D object pose estimation", whose tolerance BOP took over). A pixel
+without a return counts as visible in the geometric share, as in BOP's since 2019, and not in the returned one. The
+surface is drawn as points, dense enough that few pixels are missed. As a pixel counts
 where the surface touches it and not only its center, shares come out a little low: by 0.009 on 192 bunnies at 640 x
 480, by 0.03 at most.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.fields import numbers
+from evalkit.datasets.scene import Share
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
@@ -25,6 +27,7 @@ from evalkit.objects.model import ObjectModel, sample_surface, surface_moments
 
 Array = NDArray[np.float64]
 SYNTAX = "--visibility depth (estimated from the depth images), full (all of every instance) or FILE.json"
+ESTIMATED: dict[str, Share] = {"depth": "geometric", "geometric": "geometric", "returned": "returned"}
 TOLERANCE = 0.015  # meters
 POINTS_PER_PIXEL = 10
 MOST_POINTS = 1_000_000
@@ -36,40 +39,64 @@ class Visibility:
     """What the option --visibility says: shares of instances' silhouettes that are seen."""
 
     def __init__(self, spec: str) -> None:
-        """`spec`: depth, full, or the name of a JSON file ``{"image id": [share, ...]}``.
+        """`spec`: full, the name of a JSON file ``{"image id": [share, ...]}``, or depth, which estimates both shares.
+
+        geometric and returned estimate both, too, and say which of them scores go by.
 
         Raises:
             InputError: the file is not such a document.
         """
         self.spec = spec
-        self.shares = None if spec in ("depth", "full") else _read_shares(Path(spec))
+        self.share = ESTIMATED.get(spec)
+        self.shares = None if spec == "full" or self.share else _read_shares(Path(spec))
 
     @property
     def remark(self) -> str:
         """What the numbers rest on, as a sentence."""
         if self.spec == "full":
             return "Visibility is not known: every instance counts as fully visible."
-        if self.spec == "depth":
+        if self.share:
             return f"Visibility is estimated from the depth images and poses, tolerance {1e3 * TOLERANCE:g} mm."
         return f"Visibility is that of {self.spec}."
 
     def of(
         self, image: str, model: ObjectModel, camera: Camera | None, cam_from_obj: Array, depth: Callable[[], Array]
-    ) -> Array:
-        """Shares (n,) of the instances at poses (n, 4, 4); `depth` reads the image (height, width) in meters."""
+    ) -> tuple[Array, Array | None]:
+        """Shares (n,) of the instances at poses (n, 4, 4): the one that counts, and the other where it is known.
+
+        `depth` reads the image (height, width) in meters.
+        """
         if self.shares is not None:
-            return numbers(self.shares, image, (len(cam_from_obj),), self.spec)
-        if self.spec == "full" or len(cam_from_obj) == 0:
-            return np.ones(len(cam_from_obj))
+            return numbers(self.shares, image, (len(cam_from_obj),), self.spec), None
+        if self.spec == "full":
+            return np.ones(len(cam_from_obj)), None
+        if len(cam_from_obj) == 0:
+            return np.zeros(0), np.zeros(0)
         if camera is None:
             raise InputError(
                 "--visibility depth: the dataset's camera is not known; give --visibility full or FILE.json."
             )
-        return seen_in_depth(depth(), camera, model, cam_from_obj)
+        geometric, returned = seen_in_depth(depth(), camera, model, cam_from_obj)
+        return (geometric, returned) if self.share == "geometric" else (returned, geometric)
 
 
-def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj: Array) -> Array:
+def require_share(asked: str | None, held: Share, field: str) -> None:
+    """Of a format that publishes one share in `field`, nothing else can be asked.
+
+    Raises:
+        InputError: it was.
+    """
+    if asked not in (None, held):
+        raise InputError(
+            f"--visibility {asked}: {field} is {held} visibility, and the format has no other; leave it out."
+        )
+
+
+def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj: Array) -> tuple[Array, Array]:
     """Visible shares (n,) of instances at poses (n, 4, 4) in a depth image (height, width) in meters, 0 = no return.
+
+    Returns:
+        The geometric and the returned share.
 
     Raises:
         InputError: the model has no surface, the image is not of the camera's size, or an instance is at the camera.
@@ -82,11 +109,12 @@ def seen_in_depth(depth: Array, camera: Camera, model: ObjectModel, cam_from_obj
     for _, pixel, z in drawn:
         nearest[pixel] = np.minimum(nearest[pixel], z)
     measured = depth.ravel()
-    shares = np.zeros(len(drawn))
+    geometric, returned = np.zeros((2, len(drawn)))
     for i, (pixels_full, pixel, z) in enumerate(drawn):
-        seen = (z <= nearest[pixel]) & (measured[pixel] > 0) & (z - measured[pixel] <= TOLERANCE)
-        shares[i] = seen.sum() / pixels_full if pixels_full else 0.0
-    return shares
+        has_return = measured[pixel] > 0
+        seen = (z <= nearest[pixel]) & (~has_return | (z - measured[pixel] <= TOLERANCE))
+        geometric[i], returned[i] = seen.sum() / max(pixels_full, 1), (seen & has_return).sum() / max(pixels_full, 1)
+    return geometric, returned
 
 
 def _draw(model: ObjectModel, camera: Camera, cam_from_obj: Array) -> tuple[int, NDArray[np.int64], Array]:

@@ -13,6 +13,7 @@ from evalkit.commands.camera_command import camera
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands, suggest_next
 from evalkit.datasets import documents
+from evalkit.datasets.scene import SHARES, Share
 from evalkit.errors import InputError
 from evalkit.scoring.distances import CRITERIA
 from evalkit.scoring.evaluation import average_precision
@@ -35,12 +36,21 @@ main.add_command(depth)
 main.add_command(camera)
 
 
+visibility_option = click.option(
+    "--visibility",
+    type=click.Choice(SHARES),
+    help="The share of the silhouette that counts: where the instance is nearest, or only where depth has a return as "
+    "well.  [gt.json's first]",
+)
+
+
 def evaluation_options(command: Any) -> Any:
     """The options that settle the rules of an evaluation."""
     options = [
         click.option("--criterion", type=click.Choice(list(CRITERIA)), default="sym", show_default=True),
         click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="sileane", show_default=True),
         click.option("--min-visibility", default=0.5, show_default=True, help="Find instances at least this visible."),
+        visibility_option,
         click.option(
             "--threshold",
             type=float,
@@ -127,15 +137,16 @@ def compare(first: Path, second: Path, gt: Path, resamples: int, json_path: Path
 @click.option(
     "--max-results", type=click.IntRange(1), help="Of each image, only this many best count [100; of xyzibd 200]."
 )
+@visibility_option
 @click.option("--json", "json_path", type=FILE, help="Write the figures here.")
-def bop24(preds: Path, gt: Path, max_results: int | None, json_path: Path | None) -> None:
+def bop24(preds: Path, gt: Path, max_results: int | None, visibility: Share | None, json_path: Path | None) -> None:
     """BOP's detection scores of 2024 and 2025, as bop_toolkit computes them.
 
     AP over ladders of thresholds: MSSD in diameters and in millimeters, MSPD in pixels.
     """
     from evalkit.scoring.detection_ap import detection_ap
 
-    found = detection_ap(documents.read_predictions(preds), documents.read_ground_truth(gt), max_results)
+    found = detection_ap(documents.read_predictions(preds), documents.read_ground_truth(gt), max_results, visibility)
     if json_path is not None:
         inputs = described_inputs(predictions=preds, ground_truth=gt)
         write_json(json_path, {**found.to_json(), "inputs": inputs}, indent=1)

@@ -10,6 +10,7 @@ import click
 from evalkit import adapters
 from evalkit.commands.group import suggest_next
 from evalkit.datasets import documents
+from evalkit.datasets.visibility_share import in_words
 from evalkit.errors import InputError
 from evalkit.meshes.units import CHOICES
 
@@ -21,7 +22,10 @@ SOURCE_OPTIONS = [
     click.option("--units", type=click.Choice(CHOICES), help="The mesh's unit; by default decided by its size, aloud."),
     click.option("--symmetry", help="auto, none, cyclic:N, revolution@z …, in place of the dataset's or the mesh's."),
     click.option(
-        "--visibility", help="depth (estimated from the depth images), full, or FILE.json, by image.  [bop, icvl]"
+        "--visibility",
+        help="geometric (of the silhouette, all where the instance is nearest) or returned (only where depth has a "
+        "return): by which scores go; shards hold both.  [geometric; sileane: returned]  Also depth (both estimated "
+        "from the depth images), full, or FILE.json, by image.  [bop, icvl]",
     ),
     click.option("--camera", type=FILE, help="The camera as JSON, in place of the dataset's.  [icvl, ipa]"),
     click.option("--camera-params", type=FILE, help="camera_params.txt, where it is not beside the files.  [sileane]"),
@@ -65,7 +69,8 @@ def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
     model = truth.object
     click.echo(
         f"{output}: {len(truth.images)} images, {instances} instances of {model.title} "
-        f"({1e3 * model.diameter:.4g} mm across, symmetry {model.symmetry.name}), {truth.frame} frame"
+        f"({1e3 * model.diameter:.4g} mm across, symmetry {model.symmetry.name}), {truth.frame} frame, "
+        f"visibility: {in_words(truth.share)}"
     )
     preds = output.with_name("preds.json")
     if preds.is_file():

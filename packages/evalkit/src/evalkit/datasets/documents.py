@@ -2,7 +2,8 @@
 
 ``binpose-gt/1``::
 
-    {"format", "frame", "object": {...}, "images": [{"id", "camera", "instances": [{"R", "t", "visibility"}]}]}
+    {"format", "frame", "visibility": share, "object": {...},
+     "images": [{"id", "camera", "instances": [{"R", "t", "visibility", "visibility_SHARE"}]}]}
 
 ``binpose-preds/1``::
 
@@ -12,6 +13,10 @@
 The object's name is null where nobody stated one; it then matches any. R (3x3) and t (meters) are ``cam_from_obj``.
 "frame" is "camera" (the default) or "world"; "world" says that an adapter knew no camera and left the poses as they
 were published, ``world_from_obj``. Unknown fields are let pass.
+
+"visibility" says which share an instance's "visibility" is, "geometric" or "returned" (see
+:class:`evalkit.datasets.scene.Instances`); null where nobody stated it. Where the document holds the other share as
+well, each instance has it in "visibility_returned" or "visibility_geometric".
 """
 
 from __future__ import annotations
@@ -28,6 +33,8 @@ from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
 from evalkit.datasets.pose_rows import Layout, Rows, checked_poses, first_fault, row_dicts, to_arrays
+from evalkit.datasets.scene import Share
+from evalkit.datasets.visibility_fields import FIELDS, are_shares, other_share, read_share, share_fields
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.json_file import load_json
@@ -46,24 +53,30 @@ class GroundTruthImage:
 
     Attributes:
         cam_from_obj: (n, 4, 4), meters.
-        visibility: (n,) visible share of each silhouette, 0 to 1.
+        visibility: (n,) visible share of each silhouette, 0 to 1; which of the two, the document says.
+        other_visibility: (n,) the other share, None where it is not known.
     """
 
     id: str
     camera: Camera | None
     cam_from_obj: Array
     visibility: Array
+    other_visibility: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """A gt.json; `source` names it in messages, `remarks` say in sentences what its reader had to assume."""
+    """A gt.json; `source` names it in messages, `remarks` say in sentences what its reader had to assume.
+
+    `share` says which share the images' `visibility` is; None where nobody stated it.
+    """
 
     object: ObjectModel
     images: list[GroundTruthImage]
     frame: str = "camera"
     source: str = "the ground truth"
     remarks: tuple[str, ...] = ()
+    share: Share | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +110,7 @@ class Predictions:
         return self.object if isinstance(self.object, str) else str(self.object.get("name") or "")
 
 
-_GT = Layout(GT_FORMAT, "instances", "instance", "visibility")
+_GT = Layout(GT_FORMAT, "instances", "instance", "visibility", tuple(FIELDS.values()))
 _PREDS = Layout(PREDS_FORMAT, "hypotheses", "hypothesis", "score")
 
 
@@ -114,15 +127,15 @@ def read_ground_truth(path: Path | str) -> GroundTruth:
     if not entries:
         raise InputError(f"{path}: the list 'images' is empty; there is nothing to evaluate on.")
     ids, rows = [entry["id"] for entry in entries], [entry["instances"] for entry in entries]
-    bad = [i for i, row in enumerate(rows) if not ((row.value >= -1e-6) & (row.value <= 1 + 1e-6)).all()]
+    bad = [i for i, row in enumerate(rows) if not all(map(are_shares, (row.value, *row.optional.values())))]
     if bad:
         raise InputError(f"{path}: image '{ids[bad[0]]}': every 'visibility' must lie between 0 and 1.")
     cameras = [_camera(path, entry) for entry in entries]
-    images = [
-        GroundTruthImage(*parts)
-        for parts in zip(ids, cameras, checked_poses(_places(path, ids), rows, _GT), _values(rows), strict=True)
-    ]
-    return GroundTruth(model, images, _frame(path, document), str(path))
+    poses = checked_poses(_places(path, ids), rows, _GT)
+    share = read_share(path, document)
+    others = [other_share(row, share) for row in rows]
+    images = [GroundTruthImage(*parts) for parts in zip(ids, cameras, poses, _values(rows), others, strict=True)]
+    return GroundTruth(model, images, _frame(path, document), str(path), share=share)
 
 
 def read_predictions(path: Path | str) -> Predictions:
@@ -145,12 +158,15 @@ def read_predictions(path: Path | str) -> Predictions:
 
 def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
     """Write a gt.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
-    head = {"format": GT_FORMAT, "frame": truth.frame, "object": _object_document(truth.object)}
+    model = _object_document(truth.object)
+    head = {"format": GT_FORMAT, "frame": truth.frame, "visibility": truth.share, "object": model}
     lines = (
         {
             "id": image.id,
             "camera": None if image.camera is None else image.camera.to_json(),
-            "instances": row_dicts(image.cam_from_obj, image.visibility, "visibility"),
+            "instances": row_dicts(
+                image.cam_from_obj, **share_fields(image.visibility, image.other_visibility, truth.share)
+            ),
         }
         for image in truth.images
     )
@@ -161,7 +177,7 @@ def write_predictions(path: Path | str, predictions: Predictions) -> None:
     """Write a preds.json atomically, one image a line; reading it back gives the same numbers bit for bit."""
     head = {"format": PREDS_FORMAT, "frame": predictions.frame, "object": predictions.object or None}
     lines = (
-        {"id": image.id, "time_s": image.time_s, "hypotheses": row_dicts(image.cam_from_obj, image.score, "score")}
+        {"id": image.id, "time_s": image.time_s, "hypotheses": row_dicts(image.cam_from_obj, score=image.score)}
         for image in predictions.images
     )
     _write(path, head, lines)

@@ -23,6 +23,7 @@ class Rows(NamedTuple):
     rotation: Array  # (n, 3, 3)
     translation: Array  # (n, 3)
     value: Array  # (n,) visibility or score
+    optional: dict[str, Array]  # (n,) each, by field
 
 
 class Layout(NamedTuple):
@@ -32,6 +33,7 @@ class Layout(NamedTuple):
     rows: str
     row: str
     value: str
+    optional: tuple[str, ...] = ()  # fields of numbers that all rows of an image have, or none
 
 
 def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
@@ -47,18 +49,27 @@ def parse_rows(rows: Any, value_field: str, where: str) -> tuple[Array, Array]:
     return checked_poses([where], [arrays], layout)[0], arrays.value
 
 
-def row_dicts(cam_from_obj: Array, value: Array, key: str) -> list[dict[str, Any]]:
-    """Poses (n, 4, 4) and values (n,) as ``[{"R", "t", key}]``."""
+def row_dicts(cam_from_obj: Array, **values: Array) -> list[dict[str, Any]]:
+    """Poses (n, 4, 4) and values (n,) by their field's name as ``[{"R", "t", ...}]``."""
     pose = np.asarray(cam_from_obj, float).reshape(-1, 4, 4)
-    columns = pose[:, :3, :3].tolist(), pose[:, :3, 3].tolist(), np.asarray(value, float).tolist()
-    return [{"R": r, "t": t, key: v} for r, t, v in zip(*columns, strict=True)]
+    columns = {"R": pose[:, :3, :3], "t": pose[:, :3, 3]} | {key: np.asarray(v, float) for key, v in values.items()}
+    listed = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in listed]
 
 
 def to_arrays(rows: list[Any], layout: Layout) -> Rows | None:
     rotation, translation, value = _column(rows, "R", (3, 3)), _column(rows, "t", (3,)), _column(rows, layout.value, ())
-    if rotation is None or translation is None or value is None:
+    optional = {key: _column(rows, key, ()) for key in _given(rows, layout)}
+    known = {key: column for key, column in optional.items() if column is not None}
+    if rotation is None or translation is None or value is None or len(known) < len(optional):
         return None
-    return Rows(rotation, translation, value)
+    return Rows(rotation, translation, value, known)
+
+
+def _given(rows: Any, layout: Layout) -> list[str]:
+    """The optional fields that the first row has, and that so all must have."""
+    first = rows[0] if rows else None
+    return [key for key in layout.optional if isinstance(first, dict) and key in first]
 
 
 def _column(rows: list[Any], key: str, shape: tuple[int, ...]) -> Array | None:
@@ -77,7 +88,8 @@ def first_fault(rows: Any, layout: Layout) -> str:
     """What is wrong with an image's rows, which :func:`to_arrays` refused."""
     if not isinstance(rows, list):
         return f"the field '{layout.rows}' must be a list."
-    wanted = (("R", (3, 3), "a 3x3 matrix of numbers"), ("t", (3,), "three numbers"), (layout.value, (), "a number"))
+    numbers = [(key, (), "a number") for key in (layout.value, *_given(rows, layout))]
+    wanted = [("R", (3, 3), "a 3x3 matrix of numbers"), ("t", (3,), "three numbers"), *numbers]
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
             return f"{layout.row} {index} must be an object with 'R', 't' and '{layout.value}'."

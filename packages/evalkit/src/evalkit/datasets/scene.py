@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry.camera import Camera
 
+Share = Literal["geometric", "returned"]
+SHARES: tuple[Share, ...] = ("geometric", "returned")
+
 
 @dataclass(frozen=True, eq=False)
 class Instances:
     """Labels of the n instances of a scene as one camera sees them, one row each; hidden ones included.
+
+    Visibility has two shares of the whole silhouette. The *geometric* one is where the instance is the nearest surface,
+    whatever the sensor did there; the *returned* one is that part of it whose stored depth has a return, right or
+    wrong. Without a sensor's errors they are equal.
 
     Boxes are x0, y0, x1, y1 in pixel indices, x0 <= u < x1; an instance without such pixels has (0, 0, 0, 0).
     `box_full` and `pixels_full` are those of the whole silhouette, the part beyond the frame included.
@@ -20,12 +28,19 @@ class Instances:
 
     instance: NDArray[np.int32]  # (n,) number of the instance within its scene; its pixels hold instance + 1
     cam_from_obj: NDArray[np.float64]  # (n, 4, 4)
-    visibility: NDArray[np.float32]  # (n,) pixels_visible / pixels_full, 0 where pixels_full is 0
-    pixels_visible: NDArray[np.int32]  # (n,) pixels where it is nearest and the depth has a return, right or wrong
+    visibility_geometric: NDArray[np.float32]  # (n,) pixels_geometric / pixels_full, 0 where pixels_full is 0
+    visibility_returned: NDArray[np.float32]  # (n,) pixels_returned / pixels_full, 0 where pixels_full is 0
+    pixels_geometric: NDArray[np.int32]  # (n,)
+    pixels_returned: NDArray[np.int32]  # (n,)
     pixels_full: NDArray[np.int32]  # (n,)
-    box_visible: NDArray[np.int32]  # (n, 4)
+    box_returned: NDArray[np.int32]  # (n, 4) of the pixels with a return: what a detector can see
     box_full: NDArray[np.int32]  # (n, 4)
     center_px: NDArray[np.float32]  # (n, 2) projection of the object's centroid
+
+    def visibility(self, share: Share) -> NDArray[np.float64]:
+        """One of the two shares (n,)."""
+        chosen = self.visibility_geometric if share == "geometric" else self.visibility_returned
+        return chosen.astype(np.float64)
 
     def __len__(self) -> int:
         return len(self.instance)

@@ -31,7 +31,7 @@ class ShardDataset(Sequence[View]):
     Safe to hand to worker processes: files are opened anew in each process, on first use.
 
     Raises:
-        InputError: there is no shard, one is missing or damaged, or they differ in object, camera or depth unit.
+        InputError: there is no shard, one is missing or damaged, or they differ in schema, object, camera or unit.
     """
 
     def __init__(self, source: Path | str | Sequence[Path | str]) -> None:
@@ -153,6 +153,10 @@ def _in_order(document: dict[str, Any]) -> Any:
 
 def _require_same(first: ShardReader, other: ShardReader) -> None:
     a, b = first.header, other.header
+    if first.schema != other.schema:
+        raise InputError(
+            f"{other.path}: is of schema {other.schema}, {first.path} of {first.schema}; use shards of one schema."
+        )
     same = (
         a.camera == b.camera
         and a.depth_unit == b.depth_unit

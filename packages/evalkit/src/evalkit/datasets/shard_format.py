@@ -1,4 +1,4 @@
-"""The dataset on disk: a folder of HDF5 shards, each a fixed range of whole scenes. Schema ``binpose-shard/1``.
+"""The dataset on disk: a folder of HDF5 shards, each a fixed range of whole scenes. Schema ``binpose-shard/2``.
 
 Per frame (F = scenes x views)::
 
@@ -12,6 +12,10 @@ Per instance of each frame: the fields of :class:`evalkit.datasets.scene.Instanc
 Integrity: every chunk carries a Fletcher-32 sum, and the file's first 512 bytes (HDF5's user block, which its readers
 skip) hold the SHA-256 of all bytes after them. ``dataset.json`` beside the shards names the config, the object and the
 shards that belong to the dataset. Nothing is ever unpickled.
+
+Schema ``binpose-shard/1``, which is read and no longer written, has the returned share alone, as ``visibility``,
+``pixels_visible`` and ``box_visible``. Its ``instance_id`` is what it is here, so the geometric share is counted from
+the pixels, exactly.
 """
 
 from __future__ import annotations
@@ -32,15 +36,23 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 
-SCHEMA = "binpose-shard/1"
+SCHEMA = "binpose-shard/2"
+OLD_SCHEMA = "binpose-shard/1"
 USER_BLOCK = 512
 COMPRESSIONS = ("zstd", "gzip")
 INSTANCE_FIELDS = tuple(f.name for f in fields(Instances))
 INSTANCE_DTYPES = {
-    "instance": "<i4", "cam_from_obj": "<f8", "visibility": "<f4", "pixels_visible": "<i4", "pixels_full": "<i4",
-    "box_visible": "<i4", "box_full": "<i4", "center_px": "<f4",
+    "instance": "<i4", "cam_from_obj": "<f8", "visibility_geometric": "<f4", "visibility_returned": "<f4",
+    "pixels_geometric": "<i4", "pixels_returned": "<i4", "pixels_full": "<i4",
+    "box_returned": "<i4", "box_full": "<i4", "center_px": "<f4",
 }  # fmt: skip
-INSTANCE_SHAPES = {"cam_from_obj": (4, 4), "box_visible": (4,), "box_full": (4,), "center_px": (2,)}
+INSTANCE_SHAPES = {"cam_from_obj": (4, 4), "box_returned": (4,), "box_full": (4,), "center_px": (2,)}
+COUNTED_FIELDS = ("visibility_geometric", "pixels_geometric")  # which schema 1 lacks
+OLD_NAMES = {
+    "visibility_returned": "visibility",
+    "pixels_returned": "pixels_visible",
+    "box_returned": "box_visible",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +143,19 @@ def write_array(file: Any, name: str, data: NDArray[Any], filters: dict[str, Any
     file.create_dataset(name, data=data, chunks=data.shape, fletcher32=True, **filters)
 
 
-def read_header(file: Any, path: Path | str, schema: str) -> ShardHeader:
+def read_header(file: Any, path: Path | str, *schemas: str) -> ShardHeader:
     """What :func:`write_header` wrote into an open HDF5 file; `path` names it in errors.
+
+    Args:
+        schemas: those that the caller can read, the newest first.
 
     Raises:
         InputError: it is of another schema, or a part of the header makes no sense.
         OSError, KeyError, JSONDecodeError: a part is damaged or missing.
     """
     found = file.attrs.get("schema")
-    if found != schema:
-        raise InputError(f"{path}: schema {found!r} where {schema!r} is needed; rebuild it with this simgen.")
+    if found not in schemas:
+        raise InputError(f"{path}: schema {found!r} where {schemas[0]!r} is needed; rebuild it with this simgen.")
 
     def read_json(name: str) -> Any:
         text = file.attrs[name]

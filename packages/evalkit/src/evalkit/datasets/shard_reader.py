@@ -5,14 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.scene import Instances, View
-from evalkit.datasets.shard_format import INSTANCE_FIELDS, SCHEMA, read_header
+from evalkit.datasets.shard_format import (
+    COUNTED_FIELDS,
+    INSTANCE_FIELDS,
+    OLD_NAMES,
+    OLD_SCHEMA,
+    SCHEMA,
+    read_header,
+)
 from evalkit.errors import InputError
+
+IDS = np.iinfo(np.uint16).max + 1  # values that a pixel of instance_id can have
 
 
 class ShardReader:
@@ -35,8 +45,9 @@ class ShardReader:
                 f"{path}: not a readable HDF5 file (truncated or damaged); delete it and run 'simgen build' again."
             ) from None
         try:
-            self.header = read_header(self._file, self.path, SCHEMA)
-            self._labels = {name: self._file[name][()] for name in INSTANCE_FIELDS}
+            self.header = read_header(self._file, self.path, SCHEMA, OLD_SCHEMA)
+            self.schema = str(self._file.attrs["schema"])
+            self._labels = {name: self._file[stored][()] for name, stored in instance_names(self.schema).items()}
             self._offset = self._file["frame_offset"][()]
             self._scene, self._view = self._file["scene_index"][()], self._file["view_index"][()]
             self._cam_from_world = self._file["cam_from_world"][()]
@@ -63,9 +74,8 @@ class ShardReader:
         return self._pixels("depth", index)
 
     def labels(self, index: int) -> Instances:
-        """The labels alone, without reading pixels."""
-        rows = slice(self._offset[index], self._offset[index + 1])
-        return Instances(*(self._labels[name][rows] for name in INSTANCE_FIELDS))
+        """The labels alone, without reading pixels, save where a shard of schema 1 has them counted."""
+        return self._make_labels(index, None)
 
     @property
     def has_ideal(self) -> bool:
@@ -106,11 +116,18 @@ class ShardReader:
             depth_unit=self.header.depth_unit,
             instance_id=ids,
             cam_from_world=self._cam_from_world[index],
-            instances=self.labels(index),
+            instances=self._make_labels(index, ids),
             scene_index=int(self._scene[index]),
             view_index=int(self._view[index]),
             depth_ideal_raw=self._pixels("depth_ideal", index) if self.has_ideal else None,
         )
+
+    def _make_labels(self, index: int, ids: NDArray[np.uint16] | None) -> Instances:
+        rows = slice(self._offset[index], self._offset[index + 1])
+        found = {name: values[rows] for name, values in self._labels.items()}
+        if self.schema == OLD_SCHEMA:
+            found |= _counted(found, self._pixels("instance_id", index) if ids is None else ids)
+        return Instances(**found)
 
     def _pixels(self, name: str, index: int) -> NDArray[np.uint16]:
         try:
@@ -119,3 +136,18 @@ class ShardReader:
             raise InputError(
                 f"{self.path}: frame {index} is damaged; delete the file and run 'simgen build' again."
             ) from None
+
+
+def instance_names(schema: str) -> dict[str, str]:
+    """Fields of :class:`Instances` that a shard of `schema` stores, and the names that it stores them by."""
+    if schema == SCHEMA:
+        return {name: name for name in INSTANCE_FIELDS}
+    return {name: OLD_NAMES.get(name, name) for name in INSTANCE_FIELDS if name not in COUNTED_FIELDS}
+
+
+def _counted(labels: dict[str, NDArray[Any]], ids: NDArray[np.uint16]) -> dict[str, NDArray[Any]]:
+    """The fields that schema 1 lacks, from the instances' pixels `ids` (H, W)."""
+    counts = np.bincount(ids.ravel(), minlength=IDS)
+    pixels = counts[np.clip(labels["instance"] + 1, 0, IDS - 1)].astype(np.int32)  # of damaged labels too
+    share = (pixels / np.maximum(labels["pixels_full"], 1)).astype(np.float32)
+    return {"pixels_geometric": pixels, "visibility_geometric": share}

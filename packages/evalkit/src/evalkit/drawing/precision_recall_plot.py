@@ -10,6 +10,7 @@ import numpy as np
 from evalkit.drawing.plots import FILL, INK, LINE, new_figure, save, tidy
 from evalkit.scoring.distances import CRITERIA
 from evalkit.scoring.result import Result
+from evalkit.scoring.rules import Settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,8 +35,14 @@ def title(result: Result) -> str:
     settings = result.settings
     return (
         f"AP {result.ap:.3f}   {rule(settings.criterion, settings.threshold)}, "
-        f"visibility ≥ {settings.min_visibility:g}, {settings.protocol}"
+        f"{visibility_rule(settings)}, {settings.protocol}"
     )
+
+
+def visibility_rule(settings: Settings) -> str:
+    """Such as "geometric visibility ≥ 0.5"."""
+    share = f"{settings.visibility} " if settings.visibility else ""
+    return f"{share}visibility ≥ {settings.min_visibility:g}"
 
 
 def rule(criterion: str, threshold: float) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.datasets.visibility_share import in_words
 from evalkit.drawing.chart import Chart
 from evalkit.drawing.plots import GRAY, INK, LINE, tidy
 from evalkit.drawing.precision_recall_plot import draw_precision_recall, rule
@@ -14,6 +15,7 @@ from evalkit.scoring.breakdown import CriterionAp, PoseErrors, VisibilityAp
 from evalkit.scoring.distances import CRITERIA
 from evalkit.scoring.matching import DUPLICATE, FALSE, IGNORED, TRUE
 from evalkit.scoring.result import Result
+from evalkit.scoring.rules import Settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,10 +121,10 @@ def ap_by_criterion(found: list[CriterionAp]) -> Chart:
     )
 
 
-def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
+def ap_by_visibility(bins: list[VisibilityAp], settings: Settings) -> Chart:
     known = [entry for entry in bins if entry.instances]
-    asked = [entry for entry in known if entry.low >= min_visibility - 1e-9]
-    others = [entry for entry in known if entry.low < min_visibility - 1e-9]
+    asked = [entry for entry in known if entry.low >= settings.min_visibility - 1e-9]
+    others = [entry for entry in known if entry.low < settings.min_visibility - 1e-9]
 
     def draw(axes: Axes) -> None:
         for entries, color, label in ((asked, LINE, "AP"), (others, PALE, "AP, too hidden to be asked for")):
@@ -134,7 +136,7 @@ def ap_by_visibility(bins: list[VisibilityAp], min_visibility: float) -> Chart:
         for entry in known:
             axes.text(_middle(entry), 1.04, str(entry.instances), ha="center", fontsize=8, color=INK)
         axes.set(xlim=(0, 100), ylim=(0, 1.12), xticks=range(0, 101, 10), yticks=np.linspace(0, 1, 6))
-        axes.set(xlabel="visible share of the instance, %", ylabel="AP, share found")
+        axes.set(xlabel=f"visible, % of the silhouette ({in_words(settings.visibility)})", ylabel="AP, share found")
         tidy(axes)
         _legend(axes, "no instances", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
 

@@ -88,7 +88,7 @@ def _charts(predictions: Predictions, truth: GroundTruth, result: Result, confid
         charts.ap_by_criterion(breakdown.by_criterion(subject, settings)),
         charts.rotation_errors(errors),
         charts.translation_errors(errors, truth.object.diameter),
-        charts.ap_by_visibility(breakdown.by_visibility(subject, settings), settings.min_visibility),
+        charts.ap_by_visibility(breakdown.by_visibility(subject, settings), settings),
     ]
 
 

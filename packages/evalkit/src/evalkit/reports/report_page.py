@@ -75,7 +75,7 @@ def render(content: Content) -> str:
         content=content,
         version=evalkit_version(),
         criterion=rule(result.settings.criterion, result.settings.threshold),
-        asked=f"instances at least {100 * result.settings.min_visibility:g} % visible",
+        asked=f"instances {result.settings.asked}",
         ap_interval=_ap_interval(content),
         tiles=_tiles(content),
         operating_point=_operating_point(content),

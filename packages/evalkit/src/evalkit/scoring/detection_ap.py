@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.documents import GroundTruth, Predictions
+from evalkit.datasets.scene import Share
+from evalkit.datasets.visibility_share import holds, with_share
 from evalkit.errors import InputError
 from evalkit.objects.extent import largest_distance
 from evalkit.objects.model import ObjectModel
@@ -30,7 +32,7 @@ from evalkit.scoring.matching import IGNORED, TRUE, Crowd, Pairs, match_greedy
 from evalkit.scoring.model_points import describe_points
 from evalkit.scoring.precision_recall import COCO_RECALLS
 from evalkit.scoring.result import evalkit_version
-from evalkit.scoring.rules import Settings
+from evalkit.scoring.rules import Settings, at_least
 
 MIN_VISIBILITY = 0.1
 MOST_RESULTS, MOST_RESULTS_OF = 100, {"xyzibd": 200}
@@ -47,6 +49,7 @@ class DetectionAp:
         mssd: by threshold in diameters; `mssd_mm` in millimeters, `mspd` in pixels.
         diameter: meters; `diameter_source` says whose.
         max_results: so many best estimates of an image count.
+        visibility: the share that decides which instances are ignored; None where the ground truth does not say it.
         points: over which points of the model the distances run.
     """
 
@@ -56,6 +59,7 @@ class DetectionAp:
     diameter: float
     diameter_source: str
     max_results: int
+    visibility: Share | None
     points: str
 
     @property
@@ -79,9 +83,9 @@ class DetectionAp:
             f"diameters of {1000 * self.diameter:.4g} mm ({self.diameter_source}) or {MILLIMETERS[0]:g} to "
             f"{MILLIMETERS[-1]:g} mm, and MSPD thresholds {PIXELS[0]:g} to {PIXELS[-1]:g} px of an image 640 px wide, "
             f"{self.points}. The best {self.max_results} estimates of an image count, by falling score each takes the "
-            f"nearest free instance, and those that took one less than {100 * MIN_VISIBILITY:g} % visible are ignored; "
-            "all images that show the object are pooled, precision is interpolated at 101 recalls. MSSD is computed "
-            "where the toolkit takes it for infinite, the poses' origins being a diameter apart."
+            f"nearest free instance, and those that took one not {at_least(MIN_VISIBILITY, self.visibility)} are "
+            "ignored; all images that show the object are pooled, precision is interpolated at 101 recalls. MSSD is "
+            "computed where the toolkit takes it for infinite, the poses' origins being a diameter apart."
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -90,6 +94,8 @@ class DetectionAp:
             "protocol_name": "bop-toolkit",
             "protocol": self.protocol,
             "max_results": self.max_results,
+            "min_visibility": MIN_VISIBILITY,
+            "visibility": self.visibility,
             "diameter": self.diameter,
             **{key: {f"{at:g}": ap for at, ap in ladder.items()} for key, ladder in self._ladders.items()},
             "evalkit_version": evalkit_version(),
@@ -100,23 +106,29 @@ class DetectionAp:
         return {"mssd": self.mssd, "mssd_mm": self.mssd_mm, "mspd": self.mspd}
 
 
-def detection_ap(predictions: Predictions, truth: GroundTruth, max_results: int | None = None) -> DetectionAp:
+def detection_ap(
+    predictions: Predictions, truth: GroundTruth, max_results: int | None = None, visibility: Share | None = None
+) -> DetectionAp:
     """Evaluate by the scores of BOP 2024 and 2025.
 
     Args:
         max_results: so many best estimates of an image count; None for BOP's own number.
+        visibility: None takes the geometric share, as BOP does, where the ground truth holds it.
 
     Raises:
-        InputError: the documents do not belong together, the ground truth lacks cameras or model points, or nothing is
-            to be found.
+        InputError: the documents do not belong together, the ground truth lacks cameras, model points or the share, or
+            nothing is to be found.
     """
+    if visibility is None and holds(truth, "geometric"):
+        visibility = "geometric"
+    truth = with_share(truth, visibility)
     model = truth.object
     diameter, source = _diameter(truth)
     if max_results is None:
         max_results = MOST_RESULTS_OF.get(str(model.notes.get("bop_dataset")), MOST_RESULTS)
     subject = Subject.of(predictions, truth, Settings("mssd", "coco", MIN_VISIBILITY, max_results=max_results))
-    visibility = np.concatenate([image.visibility for image in truth.images])
-    crowd = replace(subject.crowd, to_find=visibility >= MIN_VISIBILITY)  # without a tolerance, as the toolkit
+    seen = np.concatenate([image.visibility for image in truth.images])
+    crowd = replace(subject.crowd, to_find=seen >= MIN_VISIBILITY)  # without a tolerance, as the toolkit
     if not crowd.to_find.any():
         raise InputError(f"{truth.source}: no instance is at least 10 % visible; BOP has no score for that.")
     in_space = subject.pairs_within("mssd", max(DIAMETERS[-1] * diameter, MILLIMETERS[-1] / 1000))
@@ -128,6 +140,7 @@ def detection_ap(predictions: Predictions, truth: GroundTruth, max_results: int 
         diameter=diameter,
         diameter_source=source,
         max_results=max_results,
+        visibility=truth.share,
         points=describe_points(model),
     )
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, Predictions
+from evalkit.datasets.scene import Share
+from evalkit.datasets.visibility_share import with_share
 from evalkit.errors import InputError
 from evalkit.objects.model import THRESHOLD_RATIO
 from evalkit.scoring.agreement import require_same_subject
@@ -29,18 +31,20 @@ def average_precision(
     min_visibility: float = 0.5,
     threshold: float | None = None,
     max_results: int | None = None,
+    visibility: Share | None = None,
 ) -> Result:
     """Evaluate predictions against ground truth; see :class:`Settings` for the rules' meaning.
 
     Args:
         threshold: None takes the criterion's own: 0.1 diameters, for mspd 10 pixels.
+        visibility: the share that decides what is to be found; None takes the one that the ground truth gives first.
 
     Raises:
-        InputError: a setting is unknown, or the two documents do not belong together.
+        InputError: a setting is unknown, the two documents do not belong together, or the truth lacks the share.
     """
     if threshold is None:
         threshold = CRITERIA[criterion].threshold if criterion in CRITERIA else THRESHOLD_RATIO
-    settings = Settings(criterion, protocol, min_visibility, threshold, max_results)
+    settings = Settings(criterion, protocol, min_visibility, threshold, max_results, visibility or truth.share)
     scene = Subject.of(predictions, truth, settings)
     return scene.score(settings, scene.pairs(settings))
 
@@ -58,6 +62,7 @@ class Subject:
     @classmethod
     def of(cls, predictions: Predictions, truth: GroundTruth, settings: Settings) -> Subject:
         require_same_subject(predictions, truth)
+        truth = with_share(truth, settings.visibility)
         by_id = {image.id: image for image in predictions.images}
         skip = settings.protocol == "sileane-toolbox"
         evaluated = [image for image in truth.images if image.id in by_id or not skip]

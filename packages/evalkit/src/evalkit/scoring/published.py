@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from evalkit.datasets.scene import Share
 from evalkit.scoring.bootstrap import OUR_IMAGE_ID
 from evalkit.scoring.result import Result
+from evalkit.scoring.rules import Settings, at_least
 
 PAPER = (
     "Sock, Kim, Sahin & Kim: Multi-Task Deep Networks for Depth-Based 6D Object Pose and Joint Registration in Crowd "
@@ -16,6 +18,7 @@ OURS = "Sock et al. 2018"
 WITHOUT_OFFSET = f"{OURS}, without offset"
 PROTOCOL = "Brégier et al. 2017"
 VISIBILITY_KEPT = 0.5
+PUBLISHED_SHARE: Share = "returned"  # 1 - occlusion_rate of the Siléane dataset
 THRESHOLD_KEPT = 0.1
 NOT_STATED = "not stated with the table"
 
@@ -138,20 +141,29 @@ def conditions(table: Table, result: Result) -> list[Condition]:
     known = table.column_of(result.object_name) is not None
     object_holds = None if known or not result.object_name else False
     criterion = rules.criterion == table.criterion and abs(rules.threshold - THRESHOLD_KEPT) < 1e-9
-    visibility = None if table.min_visibility is None else abs(rules.min_visibility - table.min_visibility) < 1e-9
+    visibility = _same_instances(table, rules)
     protocol = None if rules.protocol == "sileane" else rules.protocol == "sileane-toolbox"
     simulated = any(OUR_IMAGE_ID.fullmatch(name) for name in result.image_ids)
     here = "rendered by simgen" if simulated else "gt.json does not say whose"
-    stated = NOT_STATED if table.min_visibility is None else f"at least {100 * table.min_visibility:g} % visible"
+    stated = NOT_STATED if table.min_visibility is None else at_least(table.min_visibility, PUBLISHED_SHARE)
     best = "" if rules.max_results is None else f", the best {rules.max_results} of an image"
     exact = "; the authors' toolbox has another Sym, see --protocol sileane-toolbox" if protocol is None else ""
     return [
         Condition("images", table.images, f"{len(result.image_ids):,} images, {here}", False if simulated else None),
         Condition("object", ", ".join(table.columns), f"{result.object_title}, by name", object_holds),
         Condition("criterion", table.measure, f"{rules.criterion} at most {rules.threshold:g}", criterion),
-        Condition("instances to find", stated, f"at least {100 * rules.min_visibility:g} % visible", visibility),
+        Condition("instances to find", stated, rules.asked, visibility),
         Condition("protocol", PROTOCOL, f"{rules.protocol}{best}{exact}", False if best else protocol),
     ]
+
+
+def _same_instances(table: Table, rules: Settings) -> bool | None:
+    """Whether the same instances are to be found."""
+    if table.min_visibility is None:
+        return None
+    if abs(rules.min_visibility - table.min_visibility) > 1e-9:
+        return False
+    return None if rules.visibility is None else rules.visibility == PUBLISHED_SHARE
 
 
 def as_text() -> str:

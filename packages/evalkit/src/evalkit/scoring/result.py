@@ -162,6 +162,7 @@ class Result:
                 else {"diameters": self.settings.threshold, "metres": self.limit}
             ),
             "min_visibility": self.settings.min_visibility,
+            "visibility": self.settings.visibility,
             "max_results": self.settings.max_results,
             "object": self.object_name or None,
             "symmetry": self.symmetry,

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.datasets.scene import Share
+from evalkit.datasets.visibility_share import in_words
 from evalkit.errors import InputError
 from evalkit.objects.model import ObjectModel
 from evalkit.scoring.distances import CRITERIA
@@ -32,6 +34,7 @@ class Settings:
         min_visibility: instances at least this visible are to be found; finding others is neither right nor wrong.
         threshold: a pose this close is right: in object diameters, for mspd in pixels of an image 640 wide.
         max_results: of each image only this many best hypotheses count; None for all.
+        visibility: the share that `min_visibility` is of; None is the ground truth's own, where it does not say which.
     """
 
     criterion: str = "sym"
@@ -39,6 +42,7 @@ class Settings:
     min_visibility: float = 0.5
     threshold: float = CRITERIA["sym"].threshold
     max_results: int | None = None
+    visibility: Share | None = None
 
     def __post_init__(self) -> None:
         if self.criterion not in CRITERIA:
@@ -58,11 +62,21 @@ class Settings:
         """The threshold in meters, for mspd in pixels."""
         return CRITERIA[self.criterion].limit(self.threshold, model)
 
+    @property
+    def asked(self) -> str:
+        """Which instances are to be found, in words."""
+        return at_least(self.min_visibility, self.visibility)
+
     def describe(self, model: ObjectModel) -> str:
         """The rules in words, figures included."""
         best = "" if self.max_results is None else f" The best {self.max_results} of an image count."
         return (
             f"{CRITERIA[self.criterion].describe(self.threshold, model)}; symmetry {model.symmetry.name}. "
-            f"Instances at least {100 * self.min_visibility:g} % visible are to be found, matches of others are "
-            f"ignored.{best} Protocol {self.protocol}: {PROTOCOLS[self.protocol]}."
+            f"Instances {self.asked} are to be found, matches of others are ignored.{best} "
+            f"Protocol {self.protocol}: {PROTOCOLS[self.protocol]}."
         )
+
+
+def at_least(min_visibility: float, share: Share | None) -> str:
+    """Such as "at least 50 % visible (geometric share)"."""
+    return f"at least {100 * min_visibility:g} % visible ({in_words(share)})"

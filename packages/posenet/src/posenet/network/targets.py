@@ -16,8 +16,8 @@ class Batch(NamedTuple):
     depth: Tensor  # (B, H, W) meters, 0 = no return
     intrinsics: Tensor  # (B, 4) fx, fy, cx, cy
     poses: list[Tensor]  # B x (n, 4, 4) cam_from_obj
-    boxes: list[Tensor]  # B x (n, 4) visible boxes
-    visibility: list[Tensor]  # B x (n,)
+    boxes: list[Tensor]  # B x (n, 4) around the pixels with a return
+    visibility: list[Tensor]  # B x (n,) returned share
     seeds: tuple[int, ...]  # of what is left to chance in each image
 
     def to(self, device: torch.device) -> Batch:

@@ -89,8 +89,8 @@ class Frames:
             depth=torch.stack([self._depth(*location) for location in located]),
             intrinsics=intrinsics_of(self.camera).expand(len(located), 4),
             poses=[torch.from_numpy(part.cam_from_obj).float() for part in labels],
-            boxes=[torch.from_numpy(part.box_visible * self._box_scale).float() for part in labels],
-            visibility=[torch.from_numpy(part.visibility) for part in labels],
+            boxes=[torch.from_numpy(part.box_returned * self._box_scale).float() for part in labels],
+            visibility=[torch.from_numpy(part.visibility_returned) for part in labels],
             seeds=seeds if seeds is not None else step_seeds(0, 0, frames),
         )
 
@@ -115,7 +115,7 @@ class Frames:
         for frame in picked:
             reader, number = self.dataset.locate(int(frame))
             labels = reader.labels(number)
-            seen = labels.cam_from_obj[labels.visibility >= min_visibility]
+            seen = labels.cam_from_obj[labels.visibility_returned >= min_visibility]
             depths.append(self.model.centers(seen)[:, 2])
         found = np.concatenate(depths)
         if len(found) == 0:

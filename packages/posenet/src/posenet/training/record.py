@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.scoring.rules import at_least
 from posenet.runs.provenance import data_hash, git_version, software_versions
 from posenet.training.fit_options import FitOptions
+from posenet.training.validation import SHARE
 
 
 def training_record(
@@ -24,7 +26,7 @@ def training_record(
         "minutes": round(position["minutes"], 2),
         "validation_ap": ap,
         "validation_images": validation_images,
-        "protocol": "Sym, Siléane protocol, at least 50 % visible, scenes held out of the training shards",
+        "protocol": f"Sym, Siléane protocol, {at_least(0.5, SHARE)}, scenes held out of the training shards",
         "data_sha256": data_hash(dataset),
         "command": options.command,
         "git": git_version(),

@@ -17,7 +17,7 @@ LEAST_VISIBILITY = 0.5
 
 @torch.no_grad()
 def draw_validation(network: PoseNetwork, frames: Frames, number: int, device: torch.device) -> NDArray[np.uint8]:
-    """Frame `number` with the outlines of instances at least half visible in white, and of poses in green.
+    """Frame `number` with the outlines of instances at least half visible (geometric) in white, and of poses in green.
 
     Returns:
         (scale height, scale width, 3) RGB.
@@ -29,7 +29,7 @@ def draw_validation(network: PoseNetwork, frames: Frames, number: int, device: t
     shown = (found.score >= LEAST_SCORE).nonzero()[:MOST_POSES, 0]
     scale = max(1, min(LARGEST, MOST_WIDTH // view.camera.width))
     predicted = network.codec.cam_from_obj(found.rotation[shown], found.center[shown])
-    truth = view.instances.cam_from_obj[view.instances.visibility >= LEAST_VISIBILITY]
+    truth = view.instances.cam_from_obj[view.instances.visibility_geometric >= LEAST_VISIBILITY]
     picture = draw_poses(view.depth, frames.stored_camera, frames.model, truth, WHITE, scale=scale)
     picture = draw_poses(view.depth, frames.stored_camera, frames.model, predicted, GREEN, scale=scale, canvas=picture)
     return np.ascontiguousarray(picture[..., ::-1])

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from evalkit.datasets.shard_folder import shard_name
 from evalkit.datasets.shard_writer import ShardWriter
-from simgen.building.dataset_folder import claim, no_leftovers, unfinished
+from simgen.building.dataset_folder import claim, no_leftovers, require_own_schema, unfinished
 from simgen.building.shard_locks import shards_locked
 from simgen.scenes.job import Job
 from simgen.scenes.render import SceneRenderer, compile_renderer
@@ -56,7 +56,8 @@ def build(job: Job, folder: Path, workers: int, shards: range | None = None, das
         dask: address of the scheduler of a cluster to compute on in place of these processes.
 
     Raises:
-        InputError: the folder holds another dataset, another build is at work in it, or workers keep dying.
+        InputError: the folder holds another dataset, or one begun with an old schema that is incomplete, another build
+            is at work in it, or workers keep dying.
         OSError: the folder cannot be written.
     """
     claim(folder, job)
@@ -66,6 +67,7 @@ def build(job: Job, folder: Path, workers: int, shards: range | None = None, das
         wanted = sorted(missing + damaged)
         report = BuildReport(len(shards) - len(wanted), [shard_name(shard) for shard in damaged])
         if wanted:
+            require_own_schema(folder)
             compile_renderer(job)
             scenes = sum(len(job.config.scenes_of_shard(shard)) for shard in wanted)
             with _pool(workers, dask, folder) as pool, SceneProgress(scenes) as progress:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.shard_folder import DATASET_FILE, read_dataset_file, shard_name, write_dataset_file
-from evalkit.datasets.shard_format import checksum_problem
+from evalkit.datasets.shard_format import SCHEMA, checksum_problem
 from evalkit.datasets.shard_reader import ShardReader
 from evalkit.errors import InputError
 from simgen.scenes.identity import first_difference, identity, identity_of
@@ -47,15 +47,29 @@ def claim(folder: Path, job: Job) -> None:
 
 def unfinished(folder: Path, job: Job, shards: range) -> tuple[list[int], list[int]]:
     """Those of the shards that are not there, and those that are there but damaged."""
-    missing, damaged = [], []
+    missing, damaged, schema = [], [], read_dataset_file(folder).get("schema")
     for shard in shards:
         path = folder / shard_name(shard)
         scenes = np.repeat(job.config.scenes_of_shard(shard), job.config.views)
         if not path.exists():
             missing.append(shard)
-        elif not _is_intact(path, job.identity, scenes):
+        elif not _is_intact(path, job.identity, schema, scenes):
             damaged.append(shard)
     return missing, damaged
+
+
+def require_own_schema(folder: Path) -> None:
+    """Shards written here are of the schema that the folder's other shards have.
+
+    Raises:
+        InputError: the dataset was begun with another.
+    """
+    begun = read_dataset_file(folder).get("schema")
+    if begun != SCHEMA:
+        raise InputError(
+            f"{folder}: was begun with shards of schema {begun}, and this simgen writes {SCHEMA}; complete it with the "
+            "simgen that began it, or build it anew in another folder with -o."
+        )
 
 
 @contextlib.contextmanager
@@ -77,13 +91,14 @@ def _entries(job: Job) -> list[dict[str, Any]]:
     return entries
 
 
-def _is_intact(path: Path, own: dict[str, Any], scenes: NDArray[np.int64]) -> bool:
-    """Whether a shard is whole, of this build, and holds these scenes, frame by frame (F,)."""
+def _is_intact(path: Path, own: dict[str, Any], schema: Any, scenes: NDArray[np.int64]) -> bool:
+    """Whether a shard is whole, of this build and schema, and holds these scenes, frame by frame (F,)."""
     if checksum_problem(path) is not None:
         return False
     try:
         with ShardReader(path) as reader:
-            return identity_of(reader.header) == own and np.array_equal(reader.scene_index, scenes)
+            own_build = reader.schema == schema and identity_of(reader.header) == own
+            return own_build and np.array_equal(reader.scene_index, scenes)
     except InputError:
         return False
 

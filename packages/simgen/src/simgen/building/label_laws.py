@@ -56,28 +56,29 @@ def _broken_ids(view: View) -> Iterator[str]:
 
 def _broken_counts(view: View) -> Iterator[str]:
     labels = view.instances
-    counts = np.bincount(_shown_ids(view).ravel(), minlength=IDS)
-    wrong = counts[labels.instance + 1] != labels.pixels_visible
-    if wrong.any():
-        yield f"pixels_visible of {_names(view, wrong)} is not the number of its pixels with depth."
-    if (labels.pixels_visible > labels.pixels_full).any():
-        yield f"{_names(view, labels.pixels_visible > labels.pixels_full)} has more visible pixels than pixels."
-    expected = labels.pixels_visible / np.maximum(labels.pixels_full, 1)
-    wrong = ~((labels.visibility >= 0) & (labels.visibility <= 1) & (np.abs(labels.visibility - expected) < 1e-6))
-    if wrong.any():
-        yield f"visibility of {_names(view, wrong)} is not pixels_visible / pixels_full."
+    if (labels.pixels_geometric > labels.pixels_full).any():
+        yield f"{_names(view, labels.pixels_geometric > labels.pixels_full)} has more visible pixels than pixels."
+    for share, ids, which in (("geometric", view.instance_id, ""), ("returned", _shown_ids(view), " with depth")):
+        pixels, visibility = getattr(labels, f"pixels_{share}"), getattr(labels, f"visibility_{share}")
+        wrong = np.bincount(ids.ravel(), minlength=IDS)[labels.instance + 1] != pixels
+        if wrong.any():
+            yield f"pixels_{share} of {_names(view, wrong)} is not the number of its pixels{which}."
+        expected = pixels / np.maximum(labels.pixels_full, 1)
+        wrong = ~((visibility >= 0) & (visibility <= 1) & (np.abs(visibility - expected) < 1e-6))
+        if wrong.any():
+            yield f"visibility_{share} of {_names(view, wrong)} is not pixels_{share} / pixels_full."
 
 
 def _broken_boxes(view: View) -> Iterator[str]:
     labels = view.instances
     slices = find_objects(_shown_ids(view), max_label=int(labels.instance.max(initial=0)) + 1)
     tight = np.array([_box(slices[instance]) for instance in labels.instance], int).reshape(-1, 4)
-    wrong = (tight != labels.box_visible).any(1)
+    wrong = (tight != labels.box_returned).any(1)
     if wrong.any():
-        yield f"box_visible of {_names(view, wrong)} is not tight around its pixels with depth."
+        yield f"box_returned of {_names(view, wrong)} is not tight around its pixels with depth."
     x0, y0, x1, y1 = labels.box_full.T.astype(np.int64)
     outside = (x0 > tight[:, 0]) | (y0 > tight[:, 1]) | (x1 < tight[:, 2]) | (y1 < tight[:, 3])
-    wrong = ((x1 - x0) * (y1 - y0) < labels.pixels_full) | (outside & (labels.pixels_visible > 0))
+    wrong = ((x1 - x0) * (y1 - y0) < labels.pixels_full) | (outside & (labels.pixels_returned > 0))
     if wrong.any():
         yield f"box_full of {_names(view, wrong)} does not hold its silhouette."
 
@@ -103,7 +104,7 @@ def _broken_depth(view: View, model: ObjectModel, noisy: bool) -> Iterator[str]:
     outside, pixels = _outside(view, view.depth, model)
     wrong = outside > 0
     if noisy:
-        well_visible = (view.instances.visibility >= SOUND_VISIBILITY) & (pixels >= SOUND_PIXELS)
+        well_visible = (view.instances.visibility_returned >= SOUND_VISIBILITY) & (pixels >= SOUND_PIXELS)
         wrong = well_visible & (outside > (1 - SOUND_SHARE) * pixels)
     if wrong.any():
         yield f"depth at the pixels of {_names(view, wrong)} is outside its bounding sphere."

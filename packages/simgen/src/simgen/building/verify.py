@@ -40,13 +40,15 @@ class Report:
     shards: int = 0
     frames: int = 0
     scenes: set[int] = field(default_factory=set)
-    visibility: list[NDArray[np.float32]] = field(default_factory=list)
+    visibility: list[NDArray[np.float32]] = field(default_factory=list)  # geometric
     problems: list[Problem] = field(default_factory=list)
 
     @property
     def summary(self) -> str:
         visibility = np.concatenate([np.zeros(0, np.float32), *self.visibility])
-        seen = f", {(visibility >= 0.5).mean():.0%} of them at least half visible" if len(visibility) else ""
+        seen = (
+            f", {(visibility >= 0.5).mean():.0%} of them at least half visible (geometric)" if len(visibility) else ""
+        )
         count = len(self.problems)
         verdict = f"{count} problem{'s' * (count > 1)}" if count else "all checksums and label laws hold"
         return (
@@ -98,10 +100,11 @@ def _against_dataset_file(path: Path, document: dict[str, Any], entry: dict[str,
     """Whether a shard is of the build that dataset.json describes."""
     try:
         with ShardReader(path) as reader:
-            head, scenes = reader.header, reader.scene_index
+            head, scenes, schema = reader.header, reader.scene_index, reader.schema
     except InputError:
         return  # reported when the shard itself is read
-    for name, actual in (("camera", head.camera.to_json()), ("config", head.config), ("seed", head.seed)):
+    stated = {"schema": schema, "camera": head.camera.to_json(), "config": head.config, "seed": head.seed}
+    for name, actual in stated.items():
         if document.get(name) != actual:
             yield Problem(path.name, None, f"its {name} is not that of {DATASET_FILE}; use shards of one build.")
     first, end = entry.get("scenes", (None, None))
@@ -128,7 +131,7 @@ def _verify_shard(path: Path, report: Report, seen: dict[str, str]) -> None:
             report.problems += [Problem(path.name, frame, sentence) for sentence in broken]
             report.frames += 1
             report.scenes.add(view.scene_index)
-            report.visibility.append(view.instances.visibility)
+            report.visibility.append(view.instances.visibility_geometric)
 
 
 def broken_structure(path: Path | str) -> Iterator[str]:

@@ -117,7 +117,7 @@ def _scenes(dataset: ShardDataset) -> Iterator[tuple[int, range]]:
 def _visibilities(dataset: ShardDataset) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
     for frame in range(len(dataset)):
         reader, row = dataset.locate(frame)
-        yield int(reader.scene_index[row]), int(reader.view_index[row]), reader.labels(row).visibility.astype(float)
+        yield int(reader.scene_index[row]), int(reader.view_index[row]), reader.labels(row).visibility("geometric")
 
 
 def _told(view: View, on_frames: OnFrames) -> View:

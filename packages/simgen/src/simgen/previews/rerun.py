@@ -163,13 +163,14 @@ def _log_camera(recording: Any, rerun: ModuleType, view: View) -> None:
     colors = _colors(int(labels.instance.max(initial=-1)) + 1)
     classes = [(0, "background", BACKGROUND_COLOR)]
     classes += [(i + 1, str(i), tuple(color)) for i, color in enumerate(colors.tolist())]
-    shown = labels[labels.pixels_visible > 0]
+    shown = labels[labels.pixels_returned > 0]
     boxes = rerun.Boxes2D(
-        array=shown.box_visible,
+        array=shown.box_returned,
         array_format=rerun.Box2DFormat.XYXY,
         class_ids=shown.instance + 1,
         labels=[
-            f"{number}: {visibility:.0%}" for number, visibility in zip(shown.instance, shown.visibility, strict=True)
+            f"{number}: {visibility:.0%}"
+            for number, visibility in zip(shown.instance, shown.visibility_geometric, strict=True)
         ],
     )
     recording.log(CAMERA, pose, pinhole)

@@ -82,22 +82,22 @@ def _draw_instances(axes: Axes, view: View) -> None:
     picture = gray.copy()
     picture[inside] = 0.75 * palette[view.instance_id[inside] - 1] + 0.25 * gray[inside]
     axes.imshow(picture)
-    for instance, visibility, box in zip(
-        view.instances.instance, view.instances.visibility, view.instances.box_visible, strict=True
+    for instance, visibility, pixels in zip(
+        view.instances.instance, view.instances.visibility_geometric, view.instances.pixels_geometric, strict=True
     ):
-        if box[2] > box[0]:
+        if pixels:
             v, u = np.nonzero(view.instance_id == instance + 1)
             halo = [withStroke(linewidth=2, foreground="black")]
             axes.text(
                 np.median(u), np.median(v), f"{visibility:.2f}", color="white", fontsize=7, ha="center", va="center",
                 path_effects=halo,
             )  # fmt: skip
-    hidden = int((view.instances.pixels_visible == 0).sum())
+    hidden = int((view.instances.pixels_geometric == 0).sum())
     _finish(axes, f"{len(view.instances)} instances, visibility" + (f"; {hidden} hidden" if hidden else ""))
 
 
 def _draw_poses(axes: Axes, view: View, model: ObjectModel) -> None:
-    shown = view.instances[view.instances.pixels_visible > 0]
+    shown = view.instances[view.instances.pixels_geometric > 0]
     palette = 255 * instance_colors(int(view.instances.instance.max(initial=0)) + 1)[shown.instance, ::-1]
     colors = [(int(b), int(g), int(r)) for b, g, r in palette]
     picture = draw_poses(view.depth, view.camera, model, shown.cam_from_obj, colors, SUPERSAMPLING)

@@ -13,7 +13,7 @@ from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]
-CLEAR = 0.5  # visible share from which an instance is to be found (Brégier et al. 2017)
+CLEAR = 0.5  # geometric visibility from which an instance is to be found (Brégier et al. 2017)
 STEPS = 1 << 16  # of stored depth
 
 
@@ -22,7 +22,7 @@ class Survey:
     """Labels are of all frames; pixels, and poses in the world, of `frames_read` frames of different scenes.
 
     Attributes:
-        visibility: (M,) of every instance in every frame.
+        visibility: (M,) geometric, of every instance in every frame.
         instances: (scenes,) fallen into the bin.
         clear: (frames,) instances at least half visible.
         directions: (V, 3) of visible instances: unit vectors from the centroid to the camera, in the object's frame.
@@ -55,9 +55,9 @@ def survey(dataset: ShardDataset, frames: list[int], bins: int = 60) -> Survey:
             axis_from_up.append(_axis_from_up(view, model))
     edges, counts = _rebinned(levels[:, 1:], bins)
     return Survey(
-        visibility=np.concatenate([rows.visibility for rows in labels]).astype(float),
+        visibility=np.concatenate([rows.visibility("geometric") for rows in labels]),
         instances=np.array([len(labels[frame]) for frame in first]),
-        clear=np.array([(rows.visibility >= CLEAR).sum() for rows in labels]),
+        clear=np.array([(rows.visibility_geometric >= CLEAR).sum() for rows in labels]),
         directions=np.concatenate([_directions(rows, model) for rows in labels]),
         axis_from_up=np.concatenate(axis_from_up),
         depth_edges=edges * dataset.header.depth_unit,
@@ -89,7 +89,7 @@ def _rebinned(levels: NDArray[np.int64], bins: int) -> tuple[Array, NDArray[np.i
 
 
 def _directions(labels: Instances, model: ObjectModel) -> Array:
-    shown = labels.cam_from_obj[labels.pixels_visible > 0]
+    shown = labels.cam_from_obj[labels.pixels_geometric > 0]
     obj_from_cam = poses.invert(shown)
     toward = obj_from_cam[:, :3, 3] - model.centroid
     return np.asarray(toward / np.linalg.norm(toward, axis=1, keepdims=True))

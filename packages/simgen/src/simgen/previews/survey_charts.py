@@ -32,13 +32,14 @@ def visibility(found: Survey) -> Chart:
     def draw(axes: Axes) -> None:
         axes.stairs(counts, edges, fill=True, color=LINE)
         axes.axvline(CLEAR, color=INK, linestyle="--", linewidth=1.2)
-        axes.set(xlim=(0, 1), xlabel="visible share of the silhouette", ylabel="instances in frames")
+        axes.set(xlim=(0, 1), xlabel="visible part of the silhouette (geometric share)", ylabel="instances in frames")
         tidy(axes)
 
     return Chart(
         name="visibility",
         title="Visibility",
-        caption=f"{clear:.0%} are at least half visible (right of the dashed line), {hidden:.0%} are hidden whole.",
+        caption=f"{clear:.0%} are at least half visible (right of the dashed line), {hidden:.0%} are hidden whole. "
+        "What the sensor lost counts as visible.",
         columns=("low", "high", "instances"),
         rows=_binned(edges, counts),
         draw=draw,

@@ -30,35 +30,40 @@ def label_instances(
 
     Args:
         rendering: ids and whole silhouettes.
-        depth_raw: (H, W) the depth as stored; a pixel without a return is not visible.
+        depth_raw: (H, W) the depth as stored.
         cam_from_obj: (n, 4, 4).
     """
-    visible, box_visible = _visible(rendering.instance_id, depth_raw, len(cam_from_obj))
+    geometric, returned, box_returned = _seen(rendering.instance_id, depth_raw, len(cam_from_obj))
     full = rendering.pixels_full
     return Instances(
         instance=np.arange(len(cam_from_obj), dtype=np.int32),
         cam_from_obj=cam_from_obj,
-        visibility=(visible / np.maximum(full, 1)).astype(np.float32),
-        pixels_visible=visible,
+        visibility_geometric=(geometric / np.maximum(full, 1)).astype(np.float32),
+        visibility_returned=(returned / np.maximum(full, 1)).astype(np.float32),
+        pixels_geometric=geometric,
+        pixels_returned=returned,
         pixels_full=full,
-        box_visible=box_visible,
+        box_returned=box_returned,
         box_full=rendering.box_full,
         center_px=camera.project(model.centers(cam_from_obj)).astype(np.float32),
     )
 
 
 @numba.njit(cache=True, nogil=True)
-def _visible(ids, depth_raw, count):  # type: ignore[no-untyped-def]
-    """Pixels (count,) and boxes (count, 4) of each id whose depth has a return."""
-    pixels, boxes = np.zeros(count, np.int32), np.zeros((count, 4), np.int32)
+def _seen(ids, depth_raw, count):  # type: ignore[no-untyped-def]
+    """Of each id its pixels (count,), those whose depth has a return (count,), and the box (count, 4) of the latter."""
+    pixels, returned, boxes = np.zeros(count, np.int32), np.zeros(count, np.int32), np.zeros((count, 4), np.int32)
     for v in range(ids.shape[0]):
         for u in range(ids.shape[1]):
             row = np.int64(ids[v, u]) - 1
-            if row < 0 or depth_raw[v, u] == 0:
+            if row < 0:
+                continue
+            pixels[row] += 1
+            if depth_raw[v, u] == 0:
                 continue
             box = boxes[row]
-            if pixels[row] == 0:
+            if returned[row] == 0:
                 box[0], box[1] = u, v
             box[0], box[2], box[3] = min(box[0], u), max(box[2], u + 1), v + 1
-            pixels[row] += 1
-    return pixels, boxes
+            returned[row] += 1
+    return pixels, returned, boxes

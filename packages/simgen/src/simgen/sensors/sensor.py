@@ -9,8 +9,8 @@ Everything happens in disparity, focal * baseline / z, where matching makes its 
 * steps of disparity, and of the depth that is delivered;
 * surfaces that lose or bend light by how they are inclined (:mod:`simgen.sensors.surfaces`).
 
-A pixel with a return is visible, be the return right or wrong: labels tell which surface lies there, and no error of
-the sensor moves an instance.
+A pixel with a return counts as returned, be the return right or wrong: labels tell which surface lies there, and no
+error of the sensor moves an instance.
 
 What is not modeled: the strip of the image that lies outside the second eye's view, texture, motion.
 Sources of the parameters are in :mod:`simgen.sensors.sensor_config`.

@@ -53,7 +53,8 @@ def read_ground_truth(
 
     Args:
         object_id: may be left out where the scenes show one object only.
-        visibility: in place of scene_gt_info.json; see :mod:`evalkit.adapters.visibility`.
+        visibility: in place of scene_gt_info.json, which holds the geometric share; see
+            :mod:`evalkit.adapters.visibility`.
         sensor: the camera's or modality's name in sets that have several, such as cam1.
         targets: a test_targets_*.json; images that it does not list are left out, the others are in its order.
         width, height: the images' size where neither images nor camera.json give it.
@@ -66,7 +67,7 @@ def read_ground_truth(
     object_id = _chosen(object_id, annotations, folder)
     dataset = dataset_folder(scenes[0].folder)
     model, remarks = read_object(dataset, object_id, object_name, mesh, units, symmetry)
-    rule = None if visibility is None else Visibility(visibility)
+    rule = None if visibility in (None, "geometric") else Visibility(str(visibility))
     wanted = None if targets is None else read_targets(targets, sensor)
     reader = _Reader(object_id, model, rule, wanted, _SizeSource(dataset, width, height))
     images = [image for scene in scenes for image in reader.images(scene, annotations[scene.number])]
@@ -77,7 +78,8 @@ def read_ground_truth(
         images.sort(key=lambda image: rank[image.id])
     if rule is not None:
         remarks.append(rule.remark)
-    return GroundTruth(model, images, source=str(folder), remarks=tuple(remarks))
+    share = "geometric" if rule is None else rule.share
+    return GroundTruth(model, images, source=str(folder), remarks=tuple(remarks), share=share)
 
 
 def depth_images(folder: Path, *, sensor: str | None = None, targets: Path | None = None) -> Iterator[DepthImage]:
@@ -175,10 +177,11 @@ class _Reader:
         camera = _camera(cameras, number, where, self.size.of(scene, number))
         if self.rule is None:
             seen = _visible(infos, number, rows, chosen, f"{scene.file('scene_gt_info')}: image '{number}'")
-        else:
-            depth = partial(_depth, scene, number, cameras[number], where)
-            seen = self.rule.of(name, self.model, camera, cam_from_obj, depth)
-        return GroundTruthImage(name, camera, cam_from_obj, seen)
+            return GroundTruthImage(name, camera, cam_from_obj, seen)
+        depth = partial(_depth, scene, number, cameras[number], where)
+        return GroundTruthImage(
+            name, camera, cam_from_obj, *self.rule.of(name, self.model, camera, cam_from_obj, depth)
+        )
 
 
 def _depth(scene: Scene, number: int, entry: Any, where: str) -> Array:

@@ -8,8 +8,9 @@
     SPLIT/SSSSSS/depth/         VVVVVV.png, the stored steps; scene_camera.json says how many millimeters one is
     SPLIT/SSSSSS/mask/          VVVVVV_NNNNNN.png, whole silhouettes within the frame; mask_visib/: what is seen of them
 
-S counts scenes, V views of a scene, N instances of a view. Visible is what has a depth return, so that the counts, the
-masks and our visibility agree; bop_toolkit's own script would count some holes of the depth image as visible.
+S counts scenes, V views of a scene, N instances of a view. Visible is where the instance is the nearest surface,
+with a depth return or without, so that counts, masks and our geometric visibility agree. bop_toolkit's own script
+counts holes of the depth image as visible, too, but for the instances behind the nearest as well.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.depth_images import write_png
 from evalkit.atomic import write_json
-from evalkit.datasets.scene import View
+from evalkit.datasets.scene import Instances, View
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
@@ -85,11 +86,11 @@ def write_scene(folder: Path, views: Iterable[View], silhouettes: Silhouettes) -
         info[key] = []
         returns = view.depth_raw > 0
         for row, silhouette in enumerate(silhouettes(view)):
-            visible = (view.instance_id == view.instances.instance[row] + 1) & returns
+            visible = view.instance_id == view.instances.instance[row] + 1
             name = f"{number:06d}_{row:06d}.png"
             write_png(folder / "mask" / name, silhouette * np.uint8(255))
             write_png(folder / "mask_visib" / name, visible * np.uint8(255))
-            info[key].append(_instance_info(view, row, int((silhouette & returns).sum())))
+            info[key].append(_instance_info(view.instances, row, visible, int((silhouette & returns).sum())))
     for name, document in (("scene_gt", gt), ("scene_gt_info", info), ("scene_camera", cameras)):
         write_json(folder / f"{name}.json", document)
 
@@ -98,7 +99,7 @@ def write_targets(path: Path, counted: Iterable[tuple[int, int, Array]]) -> None
     """Write test_targets_bop19.json: how many instances there are to find in each image that shows any.
 
     Args:
-        counted: scene, view and the visibility (n,) of its instances.
+        counted: scene, view and the geometric visibility (n,) of its instances.
     """
     rows = [
         {"im_id": view, "inst_count": count, "obj_id": OBJECT_ID, "scene_id": scene}
@@ -112,22 +113,26 @@ def _pose(pose: Array, rotation: str, translation: str) -> dict[str, list[float]
     return {rotation: pose[:3, :3].ravel().tolist(), translation: (pose[:3, 3] / METERS).tolist()}
 
 
-def _instance_info(view: View, row: int, pixels_valid: int) -> dict[str, Any]:
-    labels = view.instances
+def _instance_info(labels: Instances, row: int, visible: Mask, pixels_valid: int) -> dict[str, Any]:
     return {
-        "bbox_obj": _box(labels.box_full[row]),
-        "bbox_visib": _box(labels.box_visible[row]),
+        "bbox_obj": _box(*labels.box_full[row].tolist()),
+        "bbox_visib": _box(*_extremes(visible)),
         "px_count_all": int(labels.pixels_full[row]),
         "px_count_valid": pixels_valid,
-        "px_count_visib": int(labels.pixels_visible[row]),
-        "visib_fract": float(labels.visibility[row]),
+        "px_count_visib": int(labels.pixels_geometric[row]),
+        "visib_fract": float(labels.visibility_geometric[row]),
     }
 
 
-def _box(box: NDArray[np.int32]) -> list[int]:
+def _box(x0: int, y0: int, x1: int, y1: int) -> list[int]:
     """x0, y0, x1, y1, half-open, to x, y, width, height."""
-    x0, y0, x1, y1 = box.tolist()
     return [x0, y0, x1 - x0, y1 - y0] if x1 > x0 else list(NOWHERE)
+
+
+def _extremes(mask: Mask) -> tuple[int, int, int, int]:
+    """x0, y0, x1, y1, half-open, of the pixels of a mask (height, width)."""
+    columns, rows = np.flatnonzero(mask.any(0)), np.flatnonzero(mask.any(1))
+    return (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if len(rows) else (0, 0, 0, 0)
 
 
 def _extent(vertices: Array) -> dict[str, float]:

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from evalkit.adapters.depth_images import DepthImage, between_clip_planes, read_raw_depth
 from evalkit.adapters.fields import numbers
+from evalkit.adapters.visibility import require_share
 from evalkit.atomic import write_json
 from evalkit.datasets.documents import GroundTruth, GroundTruthImage, PredictionImage, Predictions
 from evalkit.datasets.pose_rows import parse_rows, row_dicts
+from evalkit.datasets.scene import Share
 from evalkit.errors import InputError
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
@@ -34,14 +36,20 @@ Array = NDArray[np.float64]
 CAMERA_FILE = "camera_params.txt"
 
 
-def read_ground_truth(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> GroundTruth:
-    """Read FOLDER/poseutils.json and FOLDER/gt/*.json; visibility is 1 - occlusion_rate.
+def read_ground_truth(
+    folder: Path,
+    object_name: str | None = None,
+    camera_params: Path | None = None,
+    visibility: Share | None = None,
+) -> GroundTruth:
+    """Read FOLDER/poseutils.json and FOLDER/gt/*.json; visibility is 1 - occlusion_rate, which is the returned share.
 
     The format names no object, so the document has a name only where `object_name` gives one.
 
     Raises:
-        InputError: a file is missing or is not what it should be.
+        InputError: a file is missing or is not what it should be, or `visibility` asks for the other share.
     """
+    require_share(visibility, "returned", "Siléane's occlusion_rate")
     model = read_object(folder, object_name)
     view = _view(folder, camera_params)
     camera, cam_from_world = (None, np.eye(4)) if view is None else view
@@ -49,7 +57,7 @@ def read_ground_truth(folder: Path, object_name: str | None = None, camera_param
     for path in _scene_files(folder / "gt"):
         world_from_obj, occlusion = parse_rows(load_json(path), "occlusion_rate", str(path))
         images.append(GroundTruthImage(path.stem, camera, cam_from_world @ world_from_obj, 1.0 - occlusion))
-    return GroundTruth(model, images, _frame(view), str(folder))
+    return GroundTruth(model, images, _frame(view), str(folder), share="returned")
 
 
 def depth_images(folder: Path) -> Iterator[DepthImage]:
@@ -105,7 +113,7 @@ def write_predictions(folder: Path, predictions: Predictions, camera_params: Pat
     for image in predictions.images:
         if Path(image.id).name != image.id:
             raise InputError(f"{predictions.source}: image '{image.id}': the id cannot name a file; rename the image.")
-        write_json(folder / f"{image.id}.json", row_dicts(world_from_cam @ image.cam_from_obj, image.score, "score"))
+        write_json(folder / f"{image.id}.json", row_dicts(world_from_cam @ image.cam_from_obj, score=image.score))
     return remark
 
 

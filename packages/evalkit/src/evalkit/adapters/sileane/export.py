@@ -3,7 +3,7 @@
 ::
 
     poseutils.json  mesh.obj  camera_params.txt
-    gt/SSSSSS-VVV.json             R, t, occlusion_rate = 1 - visibility, segmentation_id
+    gt/SSSSSS-VVV.json             R, t, occlusion_rate = 1 - returned visibility, segmentation_id
     depth/SSSSSS-VVV.PNG           16 bits between clip_start and clip_end
     segmentation/SSSSSS-VVV.PNG    16 bits, segmentation_id of the instance, 0 for the rest
 
@@ -49,7 +49,7 @@ def write_view(folder: Path, view: View, cam_from_world: Array) -> None:
     write_png(folder / "depth" / f"{view.image_id}.PNG", view.depth_raw)
     write_png(folder / "segmentation" / f"{view.image_id}.PNG", view.instance_id)
     world_from_obj = poses.invert(cam_from_world) @ view.instances.cam_from_obj
-    rows = row_dicts(world_from_obj, 1.0 - view.instances.visibility.astype(float), "occlusion_rate")
+    rows = row_dicts(world_from_obj, occlusion_rate=1.0 - view.instances.visibility("returned"))
     for row, instance in zip(rows, view.instances.instance.tolist(), strict=True):
         row["segmentation_id"] = instance + 1
     write_json(labels_path(folder, view.image_id), rows)
