@@ -127,6 +127,25 @@ def test_gt_of_shards_scores_one_against_itself(shards, tmp_path):
         assert json.loads(out.read_text())["ap"] == 1.0
 
 
+def test_the_share_of_visibility_that_is_asked_for_decides_and_is_said(shards, tmp_path):
+    gt, preds = tmp_path / "gt.json", tmp_path / "preds.json"
+    done = evalkit("gt", shards, "-o", gt)
+    assert "geometric share" in done.output
+    document = json.loads(gt.read_text())
+    assert document["visibility"] == "geometric"
+    first = document["images"][0]["instances"][0]
+    assert (first["visibility"], first["visibility_returned"]) == (1.0, pytest.approx(0.8))
+    evalkit("preds", "--from", "shards", shards, "-o", preds)
+    for options, share, to_find in (([], "geometric", 3), (["--visibility", "returned"], "returned", 0)):
+        out = evalkit("ap", preds, gt, "--min-visibility", 0.9, *options).output
+        assert f"at least 90 % visible ({share} share)" in " ".join(out.split())
+        assert f"of them {to_find} to find" in out
+    assert evalkit("gt", shards, "--visibility", "returned", "-o", gt).exit_code == 0
+    assert json.loads(gt.read_text())["visibility"] == "returned"
+    assert "(returned share)" in " ".join(evalkit("ap", preds, gt).output.split())
+    assert evalkit("gt", shards, "--visibility", "depth", "-o", gt).exit_code == 2
+
+
 def test_picture_shows_images_of_the_shards(shards, tmp_path):
     assert evalkit("gt", shards, "-o", tmp_path / "gt.json").exit_code == 0
     place = poses.from_rotation_translation(np.eye(3), [[-0.1, 0, 0.5], [0.0, 0.1, 0.5]])

@@ -141,3 +141,31 @@ def test_software_that_differs_either_way_is_named(copy: Path, monkeypatch: pyte
         "another (none) made the dataset, 9.9 is here",
         f"{name} {version} made the dataset, (none) is here",
     ]
+
+
+def test_a_dataset_of_the_first_schema_is_left_as_it_is_and_never_completed_with_the_second(
+    copy: Path, as_schema_1: Callable[[Path], None]
+) -> None:
+    as_schema_1(copy)
+    before = contents(copy)
+    report, _ = repair(copy, workers=1)
+    assert report.written == [] and report.kept == 3 and contents(copy) == before
+    assert verify(copy).exit_code == 0
+    (copy / shard_name(1)).unlink()
+    before = contents(copy)
+    result = verify("--repair", copy)
+    assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
+    assert "begun with shards of schema binpose-shard/1" in result.stderr
+    assert contents(copy) == before
+
+
+def test_a_shard_of_the_first_schema_among_others_is_named_and_rebuilt(
+    built: Path, copy: Path, as_schema_1: Callable[[Path], None], tmp_path: Path
+) -> None:
+    (tmp_path / "one").mkdir()
+    shutil.move(copy / shard_name(1), tmp_path / "one")
+    as_schema_1(tmp_path / "one")
+    shutil.move(tmp_path / "one" / shard_name(1), copy)
+    assert f"{shard_name(1)}: its schema is not that of {DATASET_FILE}" in verify(copy).output
+    repair(copy, workers=1)
+    assert contents(copy) == contents(built)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from evalkit import InputError
 from evalkit.adapters.bop import dataset as bop
+from evalkit.adapters.bop.export import write_scene
 from evalkit.adapters.sileane import dataset as sileane
+from evalkit.adapters.sileane.export import write_view
 from evalkit.datasets.ground_truth import read_ground_truth
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.datasets.visibility_share import with_share
@@ -108,6 +111,22 @@ def test_bops_masks_say_what_its_numbers_say(bop_set, dataset):
                 assert info["bbox_visib"] == [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
             else:
                 assert info["bbox_visib"] == [-1, -1, -1, -1]
+
+
+def test_what_the_sensor_lost_is_visible_to_bop_and_hidden_to_sileane(dataset, tmp_path):
+    view = replace(dataset[0], depth_raw=np.zeros_like(dataset[0].depth_raw))
+    lost = np.zeros(len(view.instances))
+    view = replace(view, instances=replace(view.instances, visibility_returned=lost.astype(np.float32)))
+    write_scene(tmp_path / "000000", [view], lambda v: [v.instance_id == i + 1 for i in v.instances.instance])
+    infos = json.loads((tmp_path / "000000" / "scene_gt_info.json").read_text())["0"]
+    assert [info["px_count_visib"] for info in infos] == view.instances.pixels_geometric.tolist()
+    assert [info["visib_fract"] for info in infos] == view.instances.visibility_geometric.tolist()
+    assert {info["px_count_valid"] for info in infos} == {0}
+    for name in ("depth", "segmentation", "gt"):
+        (tmp_path / name).mkdir()
+    write_view(tmp_path, view, np.eye(4))
+    rows = json.loads((tmp_path / "gt" / f"{view.image_id}.json").read_text())
+    assert {row["occlusion_rate"] for row in rows} == {1.0}
 
 
 def test_bops_targets_count_the_instances_that_are_a_tenth_visible(bop_set, truth):

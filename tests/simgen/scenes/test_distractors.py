@@ -95,12 +95,12 @@ def test_distractors_hide_parts_and_leave_every_other_label_as_it_was(tmp_path: 
     for alone, among in zip(ShardDataset(tmp_path / "alone"), ShardDataset(tmp_path / "among"), strict=True):
         assert np.array_equal(alone.instances.cam_from_obj, among.instances.cam_from_obj)
         assert np.array_equal(alone.instances.pixels_full, among.instances.pixels_full)
-        assert (among.instances.pixels_visible <= alone.instances.pixels_visible).all()
+        assert (among.instances.pixels_geometric <= alone.instances.pixels_geometric).all()
         assert set(np.unique(among.instance_id)) <= set(np.unique(alone.instance_id))
         changed = alone.depth_raw != among.depth_raw
         assert (among.depth_raw[changed] < alone.depth_raw[changed]).all(), "things only come before what was there"
         assert (among.instance_id[changed] == 0).all()
-        hidden += int((alone.instances.pixels_visible - among.instances.pixels_visible).sum())
+        hidden += int((alone.instances.pixels_geometric - among.instances.pixels_geometric).sum())
         nearer += int(changed.sum())
     assert hidden > 50 and nearer > 500
     build(tmp_path / "again", "--distractors", "builtin", "--share", 0.6, "--workers", 2)
