@@ -1,6 +1,7 @@
 """How fast simgen builds, stage by stage, beside others on the same frames, and how good its piles are.
 
     python benchmarks/bench_simgen.py [--object bunny] [--faces 5000] [--scenes 8] [--views 17] [--peer-frames 3]
+    python benchmarks/bench_simgen.py --instances 15,40,80,150 [--physics rapier]
 
 Times are CPU times of one core, the least of `--repeats` measurements of each scene or frame, so that other work on the
 machine does not count. A worker process of its own does what a worker of `simgen build` does, and tells its memory.
@@ -23,6 +24,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from crowd_growth import report_growth
 from evalkit.datasets.scene import Scene, View
 from evalkit.datasets.shard_writer import ShardWriter
 from evalkit.objects.model import ObjectModel
@@ -30,7 +32,7 @@ from peers import least_seconds, renderer_of, report_peers
 from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
 from simgen.objects.prepare import prepare_object
 from simgen.physics.bin_shape import bin_mesh
-from simgen.presets import default
+from simgen.presets import PHYSICS, default
 from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.renderers import DepthRenderer
 from simgen.scenes.job import Job
@@ -87,8 +89,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--repeats", type=int, default=2, help="of which the fastest counts (2)")
     parser.add_argument("--peer-frames", type=int, default=3, help="drawn by the others as well (3; 0: none)")
+    parser.add_argument("--instances", help="only physics, for each of these numbers of instances: 15,40,80,150")
+    parser.add_argument("--physics", default="pybullet", choices=list(PHYSICS))
     options = parser.parse_args()
-    job = job_of(options.object, options.faces, options.scenes, options.views, options.seed)
+    if options.instances:
+        counts = [int(count) for count in options.instances.split(",")]
+        report_growth(prepare_object(options.object), counts, options.scenes, options.seed, options.physics)
+        return
+    job = job_of(options.object, options.faces, options.scenes, options.views, options.seed, options.physics)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
         measured = executor.submit(measure_worker, job, options.repeats).result()
     report_stages(job, measured)
@@ -97,10 +105,11 @@ def main() -> None:
     report_piles(job, measured)
 
 
-def job_of(source: str, faces: int, scenes: int, views: int, seed: int) -> Job:
+def job_of(source: str, faces: int, scenes: int, views: int, seed: int, engine: str) -> Job:
     """The paper's set of that object: the same piles, drawn with about that many faces."""
     prepared = prepare_object(source)
-    job = plan(replace(default(), scenes=scenes, views=views, seed=seed), prepared.model, prepared.convex_parts)
+    config = replace(default(), scenes=scenes, views=views, seed=seed, physics=PHYSICS[engine]())
+    job = plan(config, prepared.model, prepared.convex_parts)
     vertices, triangles = remade(prepared.model, faces)
     return replace(job, model=replace(prepared.model, vertices=vertices, faces=triangles))
 

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from evalkit.geometry import poses
 from simgen.config_sections import PhysicsConfig
 from simgen.physics.body import Body
-from simgen.physics.world import World
+from simgen.physics.engines import world_of
 from simgen.scenes.job import Job
 
 Array = NDArray[np.float64]
@@ -65,8 +65,8 @@ def motion_afterwards(job: Job, scene: int, world_from_obj: Array, physics: Phys
     """Meters that the farthest moved vertex of each instance (n,) goes in the next two seconds."""
     body = Body.from_parts(job.convex_parts, physics.simulated_diameter)
     centers = poses.apply(world_from_obj, body.center_of_mass[None])[:, 0]
-    with World(body, job.scene_bin(scene), physics) as world:
-        world.drop(centers * body.scale, world_from_obj[:, :3, :3])
+    with world_of(body, job.scene_bin(scene), physics) as world:
+        world.drop(centers * body.scale, poses.to_quaternion_xyzw(world_from_obj[:, :3, :3]))
         world.rest(SECONDS_AFTERWARDS)
         later = world.world_from_obj()
     assert job.model.vertices is not None

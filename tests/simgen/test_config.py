@@ -123,6 +123,8 @@ def with_one_changed(config: Any) -> Iterator[tuple[str, Any]]:
     """The same dataclass with each of its values, those of nested ones too, changed by itself."""
     for entry in fields(config):
         value = getattr(config, entry.name)
+        if entry.name == "rules":  # of which there is one value
+            continue
         if is_dataclass(value):
             yield from (
                 (f"{entry.name}.{name}", replace(config, **{entry.name: v})) for name, v in with_one_changed(value)
@@ -135,7 +137,7 @@ def changed(value: Any) -> Any:
     if isinstance(value, bool):
         return not value
     if isinstance(value, str):
-        return {"zstd": "gzip", "cpu": "pyrender"}.get(value, "another")
+        return {"zstd": "gzip", "cpu": "pyrender", "pybullet": "rapier"}.get(value, "another")
     if value is None:  # the only pose: of a measured table
         return ((1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.5), (0.0, 0.0, 0.0, 1.0))
     if isinstance(value, int):

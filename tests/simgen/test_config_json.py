@@ -39,7 +39,7 @@ def test_every_config_comes_back(preset: str) -> None:
         (lambda d: d.update(keep_ideal=1), "here.keep_ideal: expected bool, got int"),
         (lambda d: d.update(views=0), "here: --views 0"),
         (lambda d: d.update(physics=None), "here.physics: expected object, got null"),
-        (lambda d: d.update(physics=3), "here.physics: expected an object with the fields simulated_diameter"),
+        (lambda d: d.update(physics=3), "here.physics: expected an object with the fields engine, rules"),
         (lambda d: d["camera"].pop("fx"), "here.camera: the field 'fx'"),
     ],
 )

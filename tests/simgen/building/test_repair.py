@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from simgen.building.build import build
 from simgen.building.repair import repair
 from simgen.commands.cli import cli
 from simgen.objects.prepare import prepare_object
+from simgen.physics.distribution import bullet_version
 from simgen.presets import debug
 from simgen.scenes.plan import plan
-from simgen.scenes.software import physics_software, software_here
+from simgen.scenes.software import software_here
 
 
 def verify(*arguments: object) -> Result:
@@ -132,14 +134,12 @@ def test_any_flipped_bit_is_a_problem_told_and_no_crash(copy: Path) -> None:
 
 
 def test_software_that_differs_either_way_is_named(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    physics = physics_software()
-    here = {name: version for name, version in software_here().items() if name not in physics} | {"another": "9.9"}
-    monkeypatch.setattr("simgen.building.repair.software_here", lambda: here)
+    here = {name: version for name, version in software_here("pybullet").items() if name != "h5py"} | {"another": "9.9"}
+    monkeypatch.setattr("simgen.building.repair.software_here", lambda _: here)
     _, warnings = repair(copy, workers=1)
-    ((name, version),) = physics.items()
     assert [warning.split(":")[0] for warning in warnings] == [
         "another (none) made the dataset, 9.9 is here",
-        f"{name} {version} made the dataset, (none) is here",
+        f"h5py {version('h5py')} made the dataset, (none) is here",
     ]
 
 
@@ -169,3 +169,26 @@ def test_a_shard_of_the_first_schema_among_others_is_named_and_rebuilt(
     assert f"{shard_name(1)}: its schema is not that of {DATASET_FILE}" in verify(copy).output
     repair(copy, workers=1)
     assert contents(copy) == contents(built)
+
+
+@pytest.mark.parametrize("name", [*bullet_version(), "platform"])
+def test_piles_of_another_engines_version_or_platform_are_not_mixed_in(copy: Path, name: str) -> None:
+    document = json.loads((copy / DATASET_FILE).read_text())
+    document["software"][name] = "9.9"
+    (copy / DATASET_FILE).write_text(json.dumps(document))
+    (copy / shard_name(0)).unlink()
+    before = contents(copy)
+    result = verify(copy, "--repair")
+    assert result.exit_code == 2 and f"{name} 9.9" in result.stderr.splitlines()[-1]
+    assert "here would make others" in result.stderr.splitlines()[-1]
+    assert contents(copy) == before
+
+
+def test_a_dataset_of_one_engine_is_not_continued_with_the_other(copy: Path) -> None:
+    pytest.importorskip("rapier3d")
+    before = contents(copy)
+    command = "build --object brick --preset debug --scenes 3 --views 1 --shard-scenes 1 --physics rapier -o"
+    result = CliRunner().invoke(cli, [*command.split(), str(copy)])
+    assert result.exit_code == 2
+    assert "config.physics.engine is pybullet there and rapier here" in result.stderr.splitlines()[-1]
+    assert contents(copy) == before

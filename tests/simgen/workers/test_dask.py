@@ -75,7 +75,7 @@ def test_workers_that_do_not_see_the_folder_are_refused_before_anything_is_built
     cluster: tuple[str, list[int]], tmp_path: Path
 ) -> None:
     shared = "on a file system that all workers share"
-    with pytest.raises(InputError, match=shared), dask_cluster(cluster[0], tmp_path / "nowhere"):
+    with pytest.raises(InputError, match=shared), dask_cluster(cluster[0], tmp_path / "nowhere", "pybullet"):
         pass
 
 
@@ -83,10 +83,10 @@ def test_workers_with_other_software_are_refused(
     cluster: tuple[str, list[int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "dataset.json").write_text("{}")
-    ours = worker_state(str(tmp_path))["software"] | {"numpy": "0.1"}
-    monkeypatch.setattr("simgen.workers.dask.software_here", lambda: ours)
-    sentence = r"worker .* has numpy .*, 0\.1 is here; install the same versions"
-    with pytest.raises(InputError, match=sentence), dask_cluster(cluster[0], tmp_path):
+    ours = worker_state(str(tmp_path), "pybullet")["software"] | {"numpy": "0.1"}
+    monkeypatch.setattr("simgen.workers.dask.software_here", lambda _: ours)
+    sentence = r"worker .* has numpy .*, 0\.1 is here; give it the same"
+    with pytest.raises(InputError, match=sentence), dask_cluster(cluster[0], tmp_path, "pybullet"):
         pass
 
 
@@ -103,5 +103,8 @@ def test_where_no_scheduler_answers_one_sentence_says_so(
 
 def test_without_dask_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"pip install 'binpose-simgen\[dask\]'"), dask_cluster("x", tmp_path):
+    with (
+        pytest.raises(InputError, match=r"pip install 'binpose-simgen\[dask\]'"),
+        dask_cluster("x", tmp_path, "pybullet"),
+    ):
         pass

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 from evalkit.errors import InputError
 
+ENGINES = ("pybullet", "rapier")
+PILE_RULES = 2  # raised whenever the same config gives other piles
 WALL_LESS_REACH = 4.0  # of the bin's half side: as far as the ground that is drawn is sure to reach
 
 
@@ -111,27 +113,40 @@ class DistractorConfig:
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """How instances fall and when they count as at rest.
+    """How instances fall and when they count as at rest. The values are PyBullet's; an engine has its own.
 
     The world is scaled until the object's diameter is `simulated_diameter`, and time with it, so that a screw and a
     car door fall alike; all meters and seconds here are those of the scaled world.
     """
 
+    engine: str = "pybullet"
+    rules: int = PILE_RULES  # by which instances start, come back and rest; other rules, other piles
     simulated_diameter: float = 0.1
     gravity: float = 9.81
     fall_time_step: float = 1 / 480  # until the last instance has landed; with 1 / 240 plates are driven into the floor
     fall_iterations: int = 20
     time_step: float = 1 / 120  # afterwards
     solver_iterations: int = 80  # fewer cost more: piles jitter longer before they rest
-    collision_margin: float = 1e-5  # Bullet's default floats hulls 1 mm above each other
+    contact_margin: float = 1e-5  # Bullet's default floats hulls 1 mm above each other
+    contact_frequency: float = 0.0  # hertz, of the spring that pushes bodies apart; 0 is the engine's own
+    contact_damping_ratio: float = 0.0
     friction: float = 0.3  # with 0.5 piles take longer to rest and creep twice as far afterwards
     rolling_friction: float = 1e-3  # or round things roll for ever
     linear_damping: float = 0.5  # share of the speed lost in a second
     angular_damping: float = 0.9
     quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
     quiet_motion: float = 4e-4  # meters, of any instance's center or ends of axes
-    max_seconds: float = 8.0
-    max_attempts: int = 50
+    max_seconds: float = 8.0  # after the last landing; what moves yet is dropped again
+    max_attempts: int = 10
+
+    def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise InputError(f"--physics {self.engine}: use one of {', '.join(ENGINES)}.")
+        if self.rules != PILE_RULES:
+            raise InputError(
+                f"its piles were made by rules {self.rules}, this version of simgen has rules {PILE_RULES}; install "
+                "the version that made them, or build them anew."
+            )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from evalkit.geometry.camera import Camera
 from simgen.config import BuildConfig
-from simgen.config_sections import DistractorConfig, PileConfig, ViewpointConfig
+from simgen.config_sections import DistractorConfig, PhysicsConfig, PileConfig, ViewpointConfig
 
 FOCAL_PER_WIDTH = 0.9  # 58 degrees across, as the depth cameras of the paper's time have
 
@@ -81,6 +81,27 @@ PRESETS: dict[str, Callable[[], BuildConfig]] = {
     "demo": demo,
     "debug": debug,
 }
+
+
+def rapier() -> PhysicsConfig:
+    """Rapier: objects of unit size, for at 0.1 m they creep; and gravity with them, so that seconds stay the same."""
+    return PhysicsConfig(
+        engine="rapier",
+        simulated_diameter=1.0,
+        gravity=98.1,
+        fall_time_step=1 / 120,
+        fall_iterations=8,
+        time_step=1 / 60,
+        solver_iterations=16,
+        contact_margin=1e-3,
+        contact_frequency=100.0,
+        contact_damping_ratio=5.0,
+        rolling_friction=0.0,
+        quiet_motion=4e-3,
+    )
+
+
+PHYSICS: dict[str, Callable[[], PhysicsConfig]] = {"pybullet": PhysicsConfig, "rapier": rapier}
 
 
 def default_camera(width: int, height: int) -> Camera:

@@ -141,6 +141,7 @@ def write_dataset_file(folder: Path | str, header: ShardHeader, shards: list[dic
         "object": _in_order(header.object.to_json()),
         "config": _in_order(header.config),
         "seed": header.seed,
+        "software": _in_order(header.software),
         "shards": shards,
     }
     write_json(Path(folder) / DATASET_FILE, document, indent=1, new=True)

@@ -1,6 +1,9 @@
 """Rigid transforms as (..., 4, 4) arrays and rotations as (..., 3, 3) arrays, batch first, float64.
 
 A transform is named for what it maps: ``cam_from_obj @ points_in_obj``. Quaternions are xyzw.
+
+:func:`compose`, :func:`apply` and all that make rotations add in a fixed order and call no BLAS, whose kernels differ
+in the last bits from one processor to another: a pile of parts would end elsewhere.
 """
 
 from __future__ import annotations
@@ -29,10 +32,19 @@ def invert(pose: ArrayLike) -> Array:
     return from_rotation_translation(rotation_t, -np.einsum("...ij,...j->...i", rotation_t, pose[..., :3, 3]))
 
 
+def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Array:
+    """The products (..., n, m) of matrices (..., n, k) and (..., k, m): of transforms, or of rotations."""
+    return np.asarray(np.einsum("...ij,...jk->...ik", np.asarray(a_from_b, float), np.asarray(b_from_c, float)))
+
+
 def apply(pose: ArrayLike, points: ArrayLike) -> Array:
     """Transform points: pose (..., 4, 4), points (..., n, 3) -> (..., n, 3)."""
     pose, points = np.asarray(pose, float), np.asarray(points, float)
-    return points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
+    columns = pose[..., None, :3, :]
+    moved = points[..., 0:1] * columns[..., 0]
+    moved += points[..., 1:2] * columns[..., 1]
+    moved += points[..., 2:3] * columns[..., 2]
+    return np.asarray(moved + columns[..., 3])
 
 
 def rotation_angle(rotation_a: ArrayLike, rotation_b: ArrayLike) -> Array:
@@ -71,7 +83,7 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Array:
     zero = np.zeros(batch)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*batch, 3, 3)
     sine, cosine = np.sin(turn)[..., None, None], np.cos(turn)[..., None, None]
-    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross))
+    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * compose(cross, cross))
 
 
 def from_quaternion_xyzw(quaternion: ArrayLike) -> Array:

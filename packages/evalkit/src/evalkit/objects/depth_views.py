@@ -28,14 +28,16 @@ class DepthViews:
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, side: int) -> None:
         self.side, self._half = side, (side - 2) / 2
         points, self.face, self.inner = dense_samples(vertices, faces, STEP / self._half)
-        self._points = points.astype(np.float32)
+        self._points = np.ascontiguousarray(points.T, np.float32)
 
     def project(self, cam_from_obj: Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Each sample's flat pixel (n,) and its depth (n,), smaller is nearer, for a rotation (3, 3)."""
-        seen = self._points @ cam_from_obj.T.astype(np.float32)
-        pixel = (seen[:, :2] * np.float32(self._half) + np.float32(self.side / 2)).astype(np.int32)
-        pixel = np.clip(pixel, 0, self.side - 1)  # rounding may leave the ball
-        return pixel[:, 1] * np.int32(self.side) + pixel[:, 0], seen[:, 2]
+        x, y, z = self._points
+        u, v, depth = (a * x + b * y + c * z for a, b, c in cam_from_obj.astype(np.float32))  # no BLAS: bits that hold
+        # clipped, for rounding may leave the ball
+        half, middle = np.float32(self._half), np.float32(self.side / 2)
+        column, row = (np.clip((w * half + middle).astype(np.int32), 0, self.side - 1) for w in (u, v))
+        return row * np.int32(self.side) + column, depth
 
     def image(self, cam_from_obj: Array) -> NDArray[np.float32]:
         """Depth (side, side) seen along z after the rotation (3, 3), in radii; infinite where there is nothing."""

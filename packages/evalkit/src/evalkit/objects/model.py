@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evalkit.errors import InputError
 from evalkit.geometry import poses
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.objects.outside import seen_from_outside
 from evalkit.objects.symmetry import Symmetry
 
@@ -64,9 +65,7 @@ class ObjectModel:
         area, centroid, covariance = surface_moments(vertices, faces)
         if not area > 0:
             raise InputError(f"object '{name}': the mesh has no surface area.")
-        variances, axes = np.linalg.eigh(covariance)
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1
+        variances, axes = principal_axes(covariance)
         used = vertices[np.unique(faces)]
         diameter = 2.0 * float(np.linalg.norm(used - centroid, axis=1).max())
         return cls(

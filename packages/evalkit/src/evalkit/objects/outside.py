@@ -63,7 +63,7 @@ def _seen(vertices: Array, faces: NDArray[np.integer]) -> Mask:
         pixel, depth = views.project(cam_from_obj)
         nearest.fill(np.inf)
         np.minimum.at(nearest, pixel, depth)
-        cosine = np.abs(normals @ cam_from_obj[2])
+        cosine = np.abs((normals * cam_from_obj[2]).sum(1))
         slope = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, FACING)
         behind = np.where(cosine > FACING, 2.0 / SIDE * slope, 0.0)  # a slanted face's own span within a pixel
         in_front = depth[voters] - nearest[pixel[voters]] <= behind[face]

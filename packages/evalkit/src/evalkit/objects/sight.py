@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from evalkit.geometry import poses
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.objects.depth_views import DepthViews, sphere_directions
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import Symmetry
@@ -38,7 +39,7 @@ class Sight:
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, surface: Surface, slack: float = 1.0) -> None:
         about_centroid = (np.asarray(vertices, float) - surface.centroid) / surface.radius
         self._depth = DepthViews(about_centroid, faces, SIDE)
-        axes = np.linalg.eigh(surface.covariance)[1].T
+        axes = principal_axes(surface.covariance)[1].T
         directions = np.concatenate([axes, -axes, sphere_directions(AROUND)])
         self._views = list(poses.rotation_between(directions, [0.0, 0.0, 1.0]))
         self._images: dict[int, NDArray[np.float32]] = {}

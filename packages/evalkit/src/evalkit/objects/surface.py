@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.objects.model import sample_surface_with_normals, surface_moments
 
 Array = NDArray[np.float64]
@@ -114,7 +115,7 @@ class Surface:
 def _off_quadric(points: Array) -> float:
     """Root mean square distance of `points` (n, 3) from the quadric fitted over their mean plane."""
     offset = points - points.mean(0)
-    axes = np.linalg.eigh(offset.T @ offset)[1]
+    axes = principal_axes(np.einsum("ni,nj->ij", offset, offset))[1]
     height, u, v = (offset @ axes).T
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
     left = height - terms @ np.linalg.lstsq(terms, height, rcond=None)[0]

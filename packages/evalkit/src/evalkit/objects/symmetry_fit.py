@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry import poses
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import Symmetry
 
@@ -184,7 +185,7 @@ def fit(surface: Surface, name: str, axis: Array | None = None) -> SymmetryCandi
     """
     group = Symmetry.parse(name)
     spins = 1 if len(group.rotations) == group.fold or group.kind != "finite" else 36
-    axes = np.concatenate([np.linalg.eigh(surface.covariance)[1].T, hemisphere(600)]) if axis is None else axis[None]
+    axes = np.concatenate([principal_axes(surface.covariance)[1].T, hemisphere(600)]) if axis is None else axis[None]
     likely = [refine(surface, guess, keep_axis=axis is not None) for guess in scan(surface, name, axes, spins)]
     best = min(likely, key=lambda symmetry: verify(surface, symmetry, surface.points[:3000]).excess)
     return verify(surface, best, surface.points[:DENSE])

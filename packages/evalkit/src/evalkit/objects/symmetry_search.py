@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry import poses
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.objects.sight import Sight
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import Symmetry
@@ -56,7 +57,7 @@ class SymmetrySearch:
 
     def run(self) -> list[SymmetryCandidate]:
         """All that was tried; the largest of the accepted groups is the answer."""
-        moments, axes = np.linalg.eigh(self.surface.covariance)
+        moments, axes = principal_axes(self.surface.covariance)
         below, above = np.diff(moments) / moments[-1]
         if below + above < EQUAL_MOMENTS:
             self._any_axis(axes)
@@ -70,7 +71,7 @@ class SymmetrySearch:
         """Three different moments: half turns about their axes, or about all three."""
         half_turns = [self._test(about("cyclic:2", axis)) for axis in axes.T]
         if all(half_turn.accepted for half_turn in half_turns):
-            self._test(Symmetry.parse("dihedral:2", axes * np.sign(np.linalg.det(axes))))
+            self._test(Symmetry.parse("dihedral:2", axes))
 
     def _one_axis(self, axes: Array) -> None:
         """Two equal moments: any fold about the third one's axis (axes[:, 2]), half turns across it."""

@@ -70,7 +70,7 @@ def build(job: Job, folder: Path, workers: int, shards: range | None = None, das
             require_own_schema(folder)
             compile_renderer(job)
             scenes = sum(len(job.config.scenes_of_shard(shard)) for shard in wanted)
-            with _pool(workers, dask, folder) as pool, SceneProgress(scenes) as progress:
+            with _pool(workers, dask, folder, job.config.physics.engine) as pool, SceneProgress(scenes) as progress:
                 _build_shards(job, folder, wanted, pool, report, progress)
     return report
 
@@ -99,9 +99,9 @@ def build_shard(job: Job, folder: Path, shard: int) -> ShardReport:
     return ShardReport(shard, len(numbers), redone)
 
 
-def _pool(workers: int, dask: str | None, folder: Path) -> AbstractContextManager[Pool]:
+def _pool(workers: int, dask: str | None, folder: Path, engine: str) -> AbstractContextManager[Pool]:
     if dask is None:
         return contextlib.nullcontext(processes_here(workers))
     from simgen.workers.dask import dask_cluster
 
-    return dask_cluster(dask, folder)
+    return dask_cluster(dask, folder, engine)

@@ -16,13 +16,14 @@ from evalkit.datasets.shard_reader import ShardReader
 from evalkit.errors import InputError
 from simgen.scenes.identity import first_difference, identity, identity_of
 from simgen.scenes.job import Job
+from simgen.scenes.software import only_physics
 
 
 def claim(folder: Path, job: Job) -> None:
     """Name the dataset in the folder before any shard, so that no other config can be mixed in.
 
     Raises:
-        InputError: it is no folder, or belongs to another dataset, or to an unknown one.
+        InputError: it is no folder, or belongs to another dataset, or to an unknown one, or to another physics engine.
         OSError: it cannot be written.
     """
     if folder.exists() and not folder.is_dir():
@@ -42,6 +43,19 @@ def claim(folder: Path, job: Job) -> None:
         raise InputError(
             f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
             "or repeat the command that this one was built with."
+        )
+    _require_same_physics(folder, document.get("software"), header.software)
+
+
+def _require_same_physics(folder: Path, recorded: Any, here: dict[str, str]) -> None:
+    """Raise InputError where what made the folder's piles would make others here."""
+    theirs = only_physics(recorded if isinstance(recorded, dict) else {})
+    ours = only_physics(here)
+    if theirs != ours:
+        there, now = (", ".join(f"{name} {value}" for name, value in found.items()) for found in (theirs, ours))
+        raise InputError(
+            f"{folder}: its piles were made by {there or 'an unknown engine'}, and {now or 'none'} here would make "
+            "others; go on where that is installed, or choose another folder with -o."
         )
 
 

@@ -22,10 +22,12 @@ def repair(folder: Path, workers: int) -> tuple[BuildReport, list[str]]:
     """Rebuild the shards of a folder that are damaged or missing; returns what was done, and warnings.
 
     Raises:
-        InputError: the folder alone does not say how, or another build is at work in it.
+        InputError: the folder alone does not say how, the physics here would make other piles, or another build is at
+            work in it.
         OSError: the folder cannot be written.
     """
-    (job, header), here = job_of_dataset(folder), software_here()
+    job, header = job_of_dataset(folder)
+    here = software_here(job.config.physics.engine)
     warnings = [
         f"{name} {header.software.get(name, '(none)')} made the dataset, {here.get(name, '(none)')} is here: "
         "repaired shards may differ from what they were."

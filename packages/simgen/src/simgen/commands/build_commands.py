@@ -27,6 +27,7 @@ from simgen.commands.options import (
 )
 from simgen.commands.parsing import parse_shards
 from simgen.config import BuildConfig
+from simgen.physics.engines import require_engine
 from simgen.presets import PRESETS
 from simgen.rendering.gl_platform import require_gl
 
@@ -70,7 +71,7 @@ def build_command(
     else:
         assert chosen is not None  # the options see to it
         config = configured(PRESETS[preset](), **options)
-        _require_renderer(config)
+        _require_installed(config)
         job = _planned(config, chosen, options)
     _write_shards(job, output, workers, shards, dask)
     if shards is None:
@@ -98,7 +99,9 @@ def simulate_command(
     """
     from simgen.building.scenes_file import simulate
 
-    job = _planned(configured(PRESETS[preset](), **options), chosen, options)
+    config = configured(PRESETS[preset](), **options)
+    require_engine(config.physics.engine)
+    job = _planned(config, chosen, options)
     start = time.monotonic()
     report = simulate(job, output, workers)
     _warn_of_broken_pools(report.broken_pools)
@@ -192,7 +195,7 @@ def _planned_like(like: Path, chosen: ObjectChoice | None, options: dict[str, An
         raise InputError(
             f"--like {like}: with seed {config.seed} its scenes would be drawn again; give another --seed."
         )
-    _require_renderer(config)
+    _require_installed(config)
     job = plan(config, known.model, known.convex_parts, distances=distances_in_meters(options["distance"]))
     _print_settings(job)
     return job
@@ -204,6 +207,12 @@ def _say_next(output: Path, job: Job, is_test: bool) -> None:
         suggest_next("posenet", "predict", run, output, "--refine", "-o", "preds.json")
     else:
         suggest_next("posenet", "fit", output)
+
+
+def _require_installed(config: BuildConfig) -> None:
+    """Raise InputError unless the config's physics engine is there, and what its renderer needs."""
+    require_engine(config.physics.engine)
+    _require_renderer(config)
 
 
 def _require_renderer(config: BuildConfig) -> None:

@@ -17,7 +17,7 @@ from evalkit.meshes.units import CHOICES
 from simgen.commands.parsing import parse_bin, parse_instances, parse_range
 from simgen.config import RENDERERS, BuildConfig
 from simgen.config_sections import DistractorConfig
-from simgen.presets import PRESETS, default_camera
+from simgen.presets import PHYSICS, PRESETS, default_camera
 from simgen.rendering.measured_table import read_table
 from simgen.sensors.sensor_config import parse_sensor
 
@@ -81,6 +81,7 @@ pile_options = _group(
     click.option("--scenes", type=int, help="Piles to simulate."),
     click.option("--instances", metavar="MIN-MAX", help="Instances a scene."),
     click.option("--seed", type=int),
+    click.option("--physics", type=click.Choice(list(PHYSICS)), help="Engine; rapier is an extra of simgen."),
     click.option("--bin", "bin_text", metavar="auto|WxDxH", help="Inner size of the bin in meters."),
     click.option("--bin-jitter", type=float, help="A scene's bin differs from the dataset's by up to this share."),
     click.option(
@@ -191,6 +192,7 @@ def configured(
     sensor_text: str | None = None,
     distractors: str | None = None,
     share: float | None = None,
+    physics: str | None = None,
     **numbers: Any,
 ) -> BuildConfig:
     """The preset, or another config, with the options that were given in place of its values.
@@ -205,6 +207,8 @@ def configured(
         changes["bin"] = parse_bin(bin_text)
     if distractors is not None or share is not None:
         changes["distractors"] = _distractors(preset.distractors, distractors, share)
+    if physics is not None:
+        changes["physics"] = PHYSICS[physics]()
     if sensor_text is not None:
         changes["sensor"] = parse_sensor(sensor_text)
     if camera_file is not None:

@@ -37,7 +37,8 @@ def _outside(hull: ConvexHull | None, corners: Array) -> Array:
     """How far each corner (n,) stands out of a hull; of none, how far from the middle."""
     if hull is None:
         return np.linalg.norm(corners - corners.mean(0), axis=1)
-    return (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+    x, y, z = (corners[:, axis, None] * hull.equations[:, axis] for axis in range(3))  # no BLAS: bits that hold
+    return (x + y + z + hull.equations[:, 3]).max(1)
 
 
 def _farthest(outside: Array, chosen: NDArray[np.int64]) -> int:

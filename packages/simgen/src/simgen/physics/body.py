@@ -48,7 +48,8 @@ def center_of_mass(parts: list[Part]) -> Array:
 def _volume_and_centroid(vertices: Array, faces: NDArray[np.int32]) -> tuple[float, Array]:
     middle = vertices.mean(0)
     corners = vertices[faces] - middle
-    volumes = np.abs(np.linalg.det(corners)) / 6  # the middle is inside: the part is convex
+    a, b, c = np.moveaxis(corners, 1, 0)
+    volumes = np.abs((np.cross(a, b) * c).sum(1)) / 6  # the middle is inside: the part is convex
     total = float(volumes.sum())
     if total <= 0:
         return 0.0, middle

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.errors import InputError
-from evalkit.geometry import poses
 from simgen.config_sections import BinSize, PhysicsConfig, PileConfig
 from simgen.physics.bin_size import DEFAULT_PILE
 from simgen.physics.body import Body
-from simgen.physics.world import World
+from simgen.physics.engines import world_of
+from simgen.physics.settling import random_quaternions, settle
 
 Array = NDArray[np.float64]
 COUNT_STAGE, DROP_STAGE = 2, 0  # second word of the spawn key; viewpoints use another
@@ -46,14 +46,19 @@ def simulate_pile(
     """
     count = int(_generator(seed, scene, COUNT_STAGE).integers(instances[0], instances[1] + 1))
     for attempt in range(config.max_attempts):
-        rng = _generator(seed, scene, DROP_STAGE, attempt)
+        rng, again = _generator(seed, scene, DROP_STAGE, attempt), _generator(seed, scene, DROP_STAGE, attempt, 1)
         above, share = _start(_generator(seed, scene, DROP_STAGE, attempt, 0), start)
         over = replace(size, width=share * size.width, depth=share * size.depth).times(body.scale)
-        centers, rotations = _staggered_columns(rng, count, body.radius, over)
-        with World(body, replace(size, walls=True), config) as world:
-            world.drop(centers + np.array([0.0, 0.0, 2 * body.radius * above]), rotations)
-            if world.settle() and (size.walls or world.settle_without_walls()):
-                return Pile(world.world_from_obj(), attempt + 1)
+        centers, quaternions = _staggered_columns(rng, count, body.radius, over)
+        with world_of(body, replace(size, walls=True), config) as world:
+            world.drop(centers + np.array([0.0, 0.0, 2 * body.radius * above]), quaternions)
+            if not settle(world, again):
+                continue
+            if not size.walls:
+                world.lift_walls()
+                if not settle(world, again):
+                    continue
+            return Pile(world.world_from_obj(), attempt + 1)
     raise InputError(
         f"scene {scene}: none of {config.max_attempts} drops of {count} instances came to rest "
         f"inside the bin of {size} m; give a larger --bin or fewer --instances."
@@ -71,7 +76,7 @@ def _start(rng: np.random.Generator, config: PileConfig) -> tuple[float, float]:
 
 
 def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size: BinSize) -> tuple[Array, Array]:
-    """Centers (n, 3) in columns over the bin, shifted against each other in height, and random rotations (n, 3, 3).
+    """Centers (n, 3) in columns over the bin, shifted against each other in height, and random quaternions xyzw (n, 4).
 
     Landing at different times saves the solver the crush of a whole layer at once.
     """
@@ -84,4 +89,4 @@ def _staggered_columns(rng: np.random.Generator, count: int, radius: float, size
     ground = (grid - (columns - 1) / 2) * pitch + rng.uniform(-1, 1, (count, 2)) * np.maximum(slack, 0)
     lift = rng.uniform(0, 0.5, columns.prod())[cells]
     height = radius * 1.05 + (layer + lift) * pitch
-    return np.column_stack([ground, height]), poses.random_rotations(rng, count)
+    return np.column_stack([ground, height]), random_quaternions(rng, count)

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from simgen.rendering.outward import faces_outward
 from simgen.rendering.triangles import GUARD, draw_clipped, draw_tame
@@ -97,7 +98,7 @@ class Rasterizer:
 
     def _needs_clipping(self, cam_from_obj: NDArray[np.float64]) -> bool:
         """Whether the sphere around the mesh reaches behind the near plane or out of the guard band."""
-        x, y, z = cam_from_obj[:3, :3] @ self._middle + cam_from_obj[:3, 3]
+        x, y, z = poses.apply(cam_from_obj, self._middle[None])[0]
         nearest = z - self._radius
         if nearest < self._near:
             return True

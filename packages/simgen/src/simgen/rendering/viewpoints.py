@@ -135,10 +135,9 @@ def _one_viewpoint(
     aside = rng.uniform(-1, 1, 2) * config.look_at_jitter * (size.width, size.depth)
     sine = math.sqrt(1 - cosine * cosine)
     axis = -np.array([sine * math.cos(azimuth), sine * math.sin(azimuth), cosine])
-    world_from_cam = (
-        poses.rotation_between([0.0, 0.0, -1.0], axis) @ OVERHEAD @ poses.from_axis_angle([0, 0, 1.0], turn)
-    )
-    position = np.append(aside, 0.0) - distance * (world_from_cam @ _middle_ray(camera))
+    turned = poses.compose(OVERHEAD, poses.from_axis_angle([0, 0, 1.0], turn))
+    world_from_cam = poses.compose(poses.rotation_between([0.0, 0.0, -1.0], axis), turned)
+    position = np.append(aside, 0.0) - distance * poses.compose(world_from_cam, _middle_ray(camera)[:, None])[:, 0]
     return poses.invert(poses.from_rotation_translation(world_from_cam, position))
 
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from evalkit.datasets.shard_format import ShardHeader
 
+TELLING = ("engine", "rules")  # entries that explain why others differ
+
 
 def fingerprint(geometry: Iterable[Iterable[NDArray[Any]]]) -> str:
     """SHA-256 of the arrays: the mesh that is drawn, then the hulls that fall, or the poses where none do."""
@@ -34,7 +36,7 @@ def identity(config: Any, model: Any) -> dict[str, Any]:
 def first_difference(theirs: Any, ours: Any, name: str = "") -> str | None:
     """The first entry in which two JSON documents differ, in words; None if there is none."""
     if isinstance(theirs, dict) and isinstance(ours, dict):
-        for key in sorted({*theirs, *ours}):
+        for key in sorted({*theirs, *ours}, key=lambda key: (key not in TELLING, key)):
             found = first_difference(theirs.get(key), ours.get(key), f"{name}.{key}" if name else key)
             if found is not None:
                 return found

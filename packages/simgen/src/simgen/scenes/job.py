@@ -63,7 +63,7 @@ class Job:
         """What all shards of the dataset share; of recorded scenes, as if they had been simulated here."""
         if self.recorded is None:
             origin = {"geometry_sha256": fingerprint([self.model.mesh, *self.convex_parts])}
-            physics = physics_software()
+            physics = physics_software(self.config.physics.engine)
         else:
             origin, physics = self.recorded.origin, self.recorded.software
         config, software = self.config.to_json() | origin, rendering_software() | physics

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from evalkit.datasets.scene import Scene, View
+from evalkit.geometry import poses
 from simgen.physics.bin_shape import bin_mesh
 from simgen.rendering.labels import label_instances, quantized
 from simgen.rendering.renderers import depth_renderer
@@ -28,7 +29,7 @@ class SceneRenderer:
         config, model, unit = self._job.config, self._job.model, self._job.depth_unit
         self._renderer.set_background(*self._background(scene))
         for view, cam_from_world in enumerate(scene.cam_from_world):
-            cam_from_obj = cam_from_world @ scene.world_from_obj
+            cam_from_obj = poses.compose(cam_from_world, scene.world_from_obj)
             rendering = self._renderer.render(cam_from_obj, cam_from_world)
             depth = rendering.depth
             if config.sensor is not None:

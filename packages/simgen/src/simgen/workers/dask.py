@@ -22,8 +22,10 @@ CONNECT_SECONDS = 20
 
 
 @contextlib.contextmanager
-def dask_cluster(address: str, folder: Path) -> Iterator[Pool]:
+def dask_cluster(address: str, folder: Path, engine: str) -> Iterator[Pool]:
     """Pools of the cluster whose scheduler is at `address`, for :func:`simgen.workers.tasks.run_tasks`.
+
+    Its workers need the folder, and the physics engine.
 
     Raises:
         InputError: Dask is not installed, nobody answers, or the workers do not suit.
@@ -42,7 +44,7 @@ def dask_cluster(address: str, folder: Path) -> Iterator[Pool]:
             "'dask scheduler' and give the address that it prints, as in tcp://host:8786."
         ) from None
     try:
-        _require_suitable(client.run(worker_state, str(folder.absolute())), address, folder)
+        _require_suitable(client.run(worker_state, str(folder.absolute()), engine), address, folder, engine)
         yield lambda tasks, progress: _executor(client, progress)
     except KilledWorker:
         raise InputError(
@@ -57,9 +59,9 @@ def dask_cluster(address: str, folder: Path) -> Iterator[Pool]:
         client.close()
 
 
-def worker_state(folder: str) -> dict[str, Any]:
+def worker_state(folder: str, engine: str) -> dict[str, Any]:
     """What a worker sees: whether the folder has its dataset.json there, and the versions that decide the bytes."""
-    return {"sees": (Path(folder) / DATASET_FILE).is_file(), "software": software_here()}
+    return {"sees": (Path(folder) / DATASET_FILE).is_file(), "software": software_here(engine)}
 
 
 @contextlib.contextmanager
@@ -73,11 +75,11 @@ def _executor(client: Any, progress: SceneProgress) -> Iterator[Executor]:
         raise
 
 
-def _require_suitable(states: dict[str, dict[str, Any]], address: str, folder: Path) -> None:
+def _require_suitable(states: dict[str, dict[str, Any]], address: str, folder: Path, engine: str) -> None:
     """Raise InputError unless there are workers, which see the folder and have our software."""
     if not states:
         raise InputError(f"--dask {address}: the cluster has no workers; start some with 'dask worker {address}'.")
-    ours = software_here()
+    ours = software_here(engine)
     for worker, state in sorted(states.items()):
         if not state["sees"]:
             raise InputError(
@@ -89,5 +91,5 @@ def _require_suitable(states: dict[str, dict[str, Any]], address: str, folder: P
             if theirs != version:
                 raise InputError(
                     f"--dask {address}: worker {worker} has {name} {theirs}, {version} is here; "
-                    "install the same versions, for they decide the shards' bytes."
+                    "give it the same, for it decides the shards' bytes."
                 )
