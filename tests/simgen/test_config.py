@@ -12,7 +12,7 @@ import pytest
 from evalkit.errors import InputError
 from simgen.commands.parsing import parse_bin, parse_instances, parse_range
 from simgen.config import BuildConfig
-from simgen.config_sections import BinSize, PileConfig, ViewpointConfig
+from simgen.config_sections import BinSize, DistractorConfig, PileConfig, ViewpointConfig
 from simgen.presets import PRESETS, debug, default, default_camera, sileane
 from simgen.sensors.sensor_config import stereo
 
@@ -140,13 +140,16 @@ def changed(value: Any) -> Any:
         return {"zstd": "gzip", "cpu": "pyrender", "pybullet": "rapier"}.get(value, "another")
     if value is None:  # the only pose: of a measured table
         return ((1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.5), (0.0, 0.0, 0.0, 1.0))
+    if isinstance(value, tuple):
+        return ("another",) * len(value)
     if isinstance(value, int):
         return value - 1 if value > 1 else value + 1
     return value * 0.98 if value else 0.01
 
 
 def test_every_value_is_told() -> None:
-    config = replace(sileane(), bin=BinSize(0.4, 0.3, 0.1), sensor=stereo())
+    things = DistractorConfig(("builtin",), ("",), 0.3)
+    config = replace(sileane(), bin=BinSize(0.4, 0.3, 0.1), sensor=stereo(), distractors=things)
     for name, other in with_one_changed(config):
         assert other.describe() != config.describe(), name
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -78,17 +79,18 @@ def _rigid(pose: Array, where: str) -> Array:
 def _of_plane(numbers: Array | list[float], camera: Camera, where: str) -> Array:
     """The origin is what the middle of the image sees, x points along the image's rows as far as the plane allows."""
     *normal, offset = (float(number) for number in numbers)
-    length = float(np.linalg.norm(normal))
+    length = math.hypot(*normal)
     if not (np.isfinite(length) and length > 0 and np.isfinite(offset) and offset != 0):
         raise InputError(f"{where}: no plane before the camera; give {FORMS}.")
     up = -np.sign(offset) * np.array(normal) / length  # towards the camera, which is the origin
     ray = camera.unproject([(camera.width - 1) / 2, (camera.height - 1) / 2], 1.0)
-    if up @ ray > -SHALLOWEST:
+    toward = float((up * ray).sum())
+    if toward > -SHALLOWEST:
         raise InputError(f"{where}: the camera does not look at that plane; its z axis points away from the lens.")
     along_rows = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    x = along_rows / np.linalg.norm(along_rows)
+    x = along_rows / math.hypot(*along_rows)
     pose = np.column_stack([x, np.cross(up, x), up])
-    return _facing(poses.from_rotation_translation(pose, ray * (-abs(offset) / length / (up @ ray))), camera, where)
+    return _facing(poses.from_rotation_translation(pose, ray * (-abs(offset) / length / toward)), camera, where)
 
 
 def _facing(cam_from_table: Array, camera: Camera, where: str) -> Array:

@@ -118,7 +118,7 @@ def _on_measured_table(rng: np.random.Generator, config: ViewpointConfig, size: 
     turn = math.radians(config.max_turn_degrees) * rng.uniform(-1, 1)
     aside = rng.uniform(-1, 1, 2) * config.look_at_jitter * (size.width, size.depth)
     table_from_world = poses.from_rotation_translation(poses.from_axis_angle([0, 0, 1.0], turn), np.append(-aside, 0.0))
-    return np.array(config.cam_from_table) @ table_from_world
+    return poses.compose(config.cam_from_table, table_from_world)
 
 
 def _one_viewpoint(

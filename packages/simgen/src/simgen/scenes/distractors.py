@@ -63,7 +63,7 @@ def put_distractors(
     for _ in range(count):
         thing = things[int(rng.integers(len(things)))]
         vertices = thing.vertices * (rng.uniform(*STRETCH) if thing.scalable else 1.0)
-        turned = vertices @ _lying(thing, vertices, rng).T
+        turned = poses.compose(vertices, _lying(thing, vertices, rng).T)
         middle = (turned.min(0) + turned.max(0)) / 2
         place = rng.uniform(-0.5, 0.5, 2) * (size.width, size.depth)
         turned += np.append(place - middle[:2], -turned[:, 2].min())
@@ -118,7 +118,7 @@ def _lying(thing: Thing, vertices: Array, rng: np.random.Generator) -> Array:
     corners = vertices[hull.simplices]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     normal = hull.equations[rng.choice(len(areas), p=areas / areas.sum()), :3]
-    return np.asarray(turn @ poses.rotation_between(normal, [0.0, 0.0, -1.0]))
+    return poses.compose(turn, poses.rotation_between(normal, [0.0, 0.0, -1.0]))
 
 
 def _surface_points(mesh: Mesh, rng: np.random.Generator) -> Array:

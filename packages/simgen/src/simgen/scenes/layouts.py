@@ -45,7 +45,7 @@ def job_of_layouts(folder: Path) -> Job:
     truth = sileane.read_ground_truth(folder)
     camera, cam_from_world = sileane.read_camera_params(folder / sileane.CAMERA_FILE)
     cam_from_world = _rigid(cam_from_world)
-    world_from_obj = [_rigid(poses.invert(cam_from_world) @ image.cam_from_obj) for image in truth.images]
+    world_from_obj = [_rigid(poses.compose(poses.invert(cam_from_world), image.cam_from_obj)) for image in truth.images]
     world_from_obj, cam_from_world = _on_the_ground(model, world_from_obj, cam_from_world)
     counts = [len(scene) for scene in world_from_obj]
     size = _ground(model, world_from_obj)
@@ -121,7 +121,7 @@ def _on_the_ground(
     vertices, _ = model.mesh
     lowest = min(float(poses.apply(scene, vertices[None])[..., 2].min(initial=0.0)) for scene in world_from_obj)
     lift = poses.from_rotation_translation(np.eye(3), [0.0, 0.0, max(0.0, -lowest)])
-    return [lift @ scene for scene in world_from_obj], cam_from_world @ poses.invert(lift)
+    return [poses.compose(lift, scene) for scene in world_from_obj], poses.compose(cam_from_world, poses.invert(lift))
 
 
 def _ground(model: ObjectModel, world_from_obj: Sequence[Array]) -> BinSize:

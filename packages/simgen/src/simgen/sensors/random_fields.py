@@ -29,7 +29,7 @@ def matching_noise(shape: tuple[int, ...], rng: np.random.Generator, stretch: fl
         inside = slice(margin - len(taps) // 2, margin + len(taps) // 2 + 1)
         square[inside, inside] += weight * np.outer(taps, taps)
     white = rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin), np.float32)
-    white *= np.float32(1 / np.linalg.norm(square))
+    white *= np.float32(1 / np.sqrt((square * square).sum()))
     total = white[margin : margin + shape[0], margin : margin + shape[1]].copy()
     for weight, taps in kernels:
         _add_blurred(white, taps, margin, np.float32(weight), total)
