@@ -6,6 +6,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+from enum import Enum
 
 from evalkit.errors import InputError
 
@@ -20,7 +21,7 @@ def require_gl() -> None:
     """Settle on a platform for pyrender, in this process and those that it starts, unless the user has.
 
     Raises:
-        InputError: pyrender is not installed, or no platform works.
+        InputError: pyrender is not installed, no platform works, or none answered in time.
     """
     if importlib.util.find_spec("pyrender") is None:
         raise InputError(
@@ -30,17 +31,41 @@ def require_gl() -> None:
     if SETTLED in os.environ and os.environ[SETTLED] == os.environ.get(VARIABLE):
         return
     tried = (os.environ[VARIABLE],) if VARIABLE in os.environ else PLATFORMS
+    outcome = {}
     for platform in tried:
-        if _works(platform):
+        outcome[platform] = _try(platform)
+        if outcome[platform] is Outcome.WORKS:
             os.environ[VARIABLE] = os.environ[SETTLED] = platform
             return
-    raise InputError(
-        f"--renderer pyrender: no OpenGL without a display works here ({VARIABLE} {' or '.join(tried)}); install one, "
+    raise InputError(_refusal(outcome))
+
+
+class Outcome(Enum):
+    """What came of trying a platform."""
+
+    WORKS = "works"
+    FAILS = "fails"
+    TOO_SLOW = "took longer than we wait"
+
+
+def _refusal(outcome: dict[str, Outcome]) -> str:
+    """Why there is no OpenGL: no driver, or a machine that had no answer in time, which says nothing of its drivers."""
+    slow = [platform for platform, one in outcome.items() if one is Outcome.TOO_SLOW]
+    failed = [platform for platform, one in outcome.items() if one is Outcome.FAILS]
+    if slow:
+        others = f" ({' and '.join(failed)} does not work here)" if failed else ""
+        return (
+            f"--renderer pyrender: OpenGL by {' and by '.join(slow)} gave no answer within {PROBE_SECONDS} s{others}: "
+            "this machine is slow or busy, and its driver may well work; run again when less else runs, or leave "
+            "--renderer out to draw on the CPU."
+        )
+    return (
+        f"--renderer pyrender: no OpenGL without a display works here ({VARIABLE} {' or '.join(failed)}); install one, "
         "on Debian and Ubuntu with apt-get install libegl1 libgl1, or leave --renderer out to draw on the CPU."
     )
 
 
-def _works(platform: str) -> bool:
+def _try(platform: str) -> Outcome:
     """Tried in a process of its own, for PyOpenGL cannot change its platform, and a driver may take us along."""
     try:
         done = subprocess.run(
@@ -48,5 +73,5 @@ def _works(platform: str) -> bool:
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return False
-    return done.returncode == 0
+        return Outcome.TOO_SLOW
+    return Outcome.WORKS if done.returncode == 0 else Outcome.FAILS
