@@ -10,6 +10,7 @@ import torch
 
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.errors import InputError
 from posenet.network.depth_input import intrinsics_of
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.predictor import PredictedPoses, Predictor
@@ -42,6 +43,17 @@ def test_so_many_hypotheses_a_detection_at_most(run_folder: Path, view: View, mo
     whole = predictor(run_folder, PredictOptions()).predict(view.depth, view.camera)
     assert poses_a_detection(few) <= most < poses_a_detection(whole)
     assert set(few.boxes[:, 0]) == set(whole.boxes[:, 0])
+
+
+def test_the_precision_is_the_users_and_costs_little(run_folder: Path, view: View) -> None:
+    exact, rounded = (Predictor.load(run_folder, "cpu", precision=name) for name in ("float32", "bfloat16"))
+    assert (exact.precision, rounded.precision) == ("float32", "bfloat16")
+    assert Predictor.load(run_folder, "cpu").precision in (exact.precision, rounded.precision)
+    best, other = (one.predict(view.depth, view.camera) for one in (exact, rounded))
+    assert not np.array_equal(best.score[:3], other.score[:3])
+    assert abs(best.score[0] - other.score[0]) < 0.1
+    with pytest.raises(InputError, match="--precision 'half' is not known; use one of auto, float32, bfloat16"):
+        Predictor.load(run_folder, "cpu", precision="half")
 
 
 def test_without_registration_the_score_is_the_confidence(run_folder: Path, view: View) -> None:

@@ -16,6 +16,7 @@ from evalkit.typed import typed
 TASKS = ("offset", "depth", "rotation")
 OPTIMIZERS = ("adam", "adamw", "muon")
 SCHEDULES = ("trapezoid", "one-cycle", "cosine", "constant")
+PRECISIONS = ("auto", "float32", "bfloat16")  # of layers that predict; auto: bfloat16 where the hardware has it
 
 
 @dataclass(frozen=True)

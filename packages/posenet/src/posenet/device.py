@@ -1,10 +1,11 @@
-"""Where to compute, and whether bf16 is fast there."""
+"""Where to compute, and in which precision."""
 
 from __future__ import annotations
 
 import torch
 
 from evalkit.errors import InputError
+from posenet.config import PRECISIONS
 
 
 def choose_device(name: str, count: int = 1) -> torch.device:
@@ -31,6 +32,17 @@ def _device(name: str) -> torch.device:
     if device.type not in ("cpu", "cuda"):
         raise InputError(f"--device '{name}' is not supported; use auto, cpu or cuda.")
     return device
+
+
+def layers_in_bf16(precision: str, device: torch.device) -> bool:
+    """Whether a network's layers are to run in bf16: `precision` is one of PRECISIONS.
+
+    Raises:
+        InputError: it is none of them.
+    """
+    if precision not in PRECISIONS:
+        raise InputError(f"--precision '{precision}' is not known; use one of {', '.join(PRECISIONS)}.")
+    return precision == "bfloat16" or (precision == "auto" and supports_bf16(device))
 
 
 def supports_bf16(device: torch.device) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -14,7 +13,7 @@ from evalkit.commands.group import Commands
 from evalkit.errors import InputError
 from posenet.commands.log import show_log
 from posenet.commands.next_steps import after_fit, missing_model
-from posenet.config import OPTIMIZERS, PRESETS, SCHEDULES, TASKS, Config, TrainConfig, preset, with_options
+from posenet.config import OPTIMIZERS, PRECISIONS, PRESETS, SCHEDULES, TASKS, Config, TrainConfig, preset, with_options
 
 
 @click.group(cls=Commands)
@@ -84,6 +83,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
         raise InputError("Missing SHARDS: give the folder that 'simgen build' wrote (shards/), or some of its files.")
     if options["minutes"] is not None and options["epochs"] is not None:
         raise click.UsageError("Give --minutes or --epochs, not both.")
+    from posenet.commands.info import summary
     from posenet.training.fit_options import FitOptions
     from posenet.training.train import fit as train
     from posenet.training.train import intact_frames
@@ -108,7 +108,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
             command=shlex.join(["posenet", *sys.argv[1:]]),
         )
     )
-    click.echo(_summary(run.path))
+    click.echo(summary(run.path))
     after_fit(run.path, list(shards))
 
 
@@ -170,6 +170,13 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--no-offset", is_flag=True, help="Ablation: the box center stands in for the center.")
 @click.option("--hypotheses", type=click.IntRange(1, 5), help="Ablation: at most so many poses a detection.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option(
+    "--precision",
+    type=click.Choice(PRECISIONS),
+    default="auto",
+    show_default=True,
+    help="Of the layers; auto: bfloat16 where the CPU or GPU has it, for it is faster there.",
+)
 def predict(
     model: Path | None,
     source: Path | None,
@@ -211,7 +218,9 @@ def predict(
 @click.option("--json", "as_json", is_flag=True, help="Everything, as JSON.")
 def info(model: Path, as_json: bool) -> None:
     """Print what a model was trained on, how long, and how well it validated."""
-    click.echo(_summary(model, as_json))
+    from posenet.commands.info import summary
+
+    click.echo(summary(model, as_json))
 
 
 @main.command()
@@ -256,39 +265,3 @@ def compact(model: Path, out: Path) -> None:
     from posenet.models.model_file import write_compact
 
     click.echo(f"{out}: {write_compact(model, out) / 1e6:.1f} MB")
-
-
-def _summary(model: Path, as_json: bool = False) -> str:
-    from posenet.models.model_file import load_model
-
-    trained = load_model(model)
-    network, record = trained.network, trained.record
-    if as_json:
-        document = {
-            "config": network.config.to_json(),
-            "object": network.model.to_json(),
-            "camera": network.camera.to_json(),
-            "depth_range": network.depth_range,
-            "record": record,
-        }
-        return json.dumps(document, indent=1)
-    count = sum(p.numel() for p in network.parameters())
-    ap = record.get("validation_ap")
-    camera = network.camera
-    return "\n".join(
-        [
-            f"model       {model}",
-            f"object      {network.model.title}, diameter {network.model.diameter * 1e3:.1f} mm, "
-            f"symmetry {network.model.symmetry.name}",
-            f"preset      {network.config.preset}, {count / 1e6:.2f} M parameters",
-            f"camera      {camera.width} x {camera.height}, fx {camera.fx:.1f}, "
-            f"objects {network.depth_range[0]:.3f} to {network.depth_range[1]:.3f} m away",
-            f"training    {record['minutes']:.1f} minutes, {record['images']} images, seed {record['seed']}",
-            "validation  "
-            + (
-                f"AP {ap:.3f} on {record['validation_images']} images; {record['protocol']}"
-                if ap is not None
-                else "none"
-            ),
-        ]
-    )

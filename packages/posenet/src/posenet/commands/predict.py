@@ -39,6 +39,7 @@ def predict(
     picture_score: float = 0.5,
     max_images: int | None = None,
     device: str = "auto",
+    precision: str = "auto",
     refine: bool = False,
     options: PredictOptions | None = None,
     area: AreaOfInterest | None = None,
@@ -60,7 +61,7 @@ def predict(
     area = area or AreaOfInterest()
     for camera in dict.fromkeys(source.cameras):
         area.mask(camera)  # refused now, not after an hour
-    predictor = Predictor.load(model, device, refine, options)
+    predictor = Predictor.load(model, device, refine, options, precision)
     _require_bop_ids(out, source, predictor.model.name, object_id)
     for file in [out] + ([picture] if picture is not None else []):
         _require_writable(file.parent)
@@ -76,7 +77,7 @@ def predict(
         depth = without_nan(source.read(numbers[0]), camera, f"image '{source.names[numbers[0]]}'")
         write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
     after_predict(path, out, source.truth, drawn=picture is not None)
-    return _summary(out, found)
+    return f"{_summary(out, found)}, layers in {predictor.precision}"
 
 
 def _over(

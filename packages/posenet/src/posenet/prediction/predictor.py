@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evalkit.datasets.documents import PredictionImage, Predictions
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
-from posenet.device import choose_device, supports_bf16
+from posenet.device import choose_device, layers_in_bf16
 from posenet.models.model_file import load_model
 from posenet.network.depth_input import intrinsics_of, resample
 from posenet.network.pose_network import PoseNetwork
@@ -55,6 +55,7 @@ class Predictor:
         record: dict[str, Any] | None = None,
         refine: bool = False,
         options: PredictOptions | None = None,
+        precision: str = "auto",
     ) -> None:
         self.network, self.record = network, record or {}
         self.refiner = Refiner(network.model) if refine else None
@@ -64,19 +65,31 @@ class Predictor:
             limits = replace(own, nms_iou=REFINED_OVERLAP, least=max(REFINED_DETECTIONS, own.least))
             self.options = replace(self.options, detection=limits)
         self.device = next(network.parameters()).device
-        self.bf16 = supports_bf16(self.device)
+        self.bf16 = layers_in_bf16(precision, self.device)
 
     @classmethod
     def load(
-        cls, source: Path | str, device: str = "auto", refine: bool = False, options: PredictOptions | None = None
+        cls,
+        source: Path | str,
+        device: str = "auto",
+        refine: bool = False,
+        options: PredictOptions | None = None,
+        precision: str = "auto",
     ) -> Predictor:
         """From a model file or a run's folder; `refine` has every pose fitted to the image and verified against it.
 
+        `precision` is that of the network's layers, one of :data:`posenet.device.PRECISIONS`.
+
         Raises:
-            InputError: there is no usable model, or no such device.
+            InputError: there is no usable model, no such device or no such precision.
         """
         trained = load_model(source, choose_device(device))
-        return cls(trained.network, trained.record, refine, options)
+        return cls(trained.network, trained.record, refine, options, precision)
+
+    @property
+    def precision(self) -> str:
+        """What the layers run in: float32 or bfloat16."""
+        return "bfloat16" if self.bf16 else "float32"
 
     @property
     def model(self) -> ObjectModel:
