@@ -43,7 +43,7 @@ FLOORS = {  # from the ground up; a room imports rooms of lower floors only
         ["presets", "config_json"],
         ["objects"],
         ["scenes", "exports", "previews"],
-        ["workers"],
+        ["workers", "sensor_fit"],
         ["building"],
         ["commands"],
     ],

@@ -124,8 +124,9 @@ camera_options = _group(
     click.option(
         "--sensor",
         "sensor_text",
-        metavar="ideal|stereo|kinect",
-        help="Depth camera; parameters follow: stereo,baseline=0.1.",
+        metavar="ideal|stereo|kinect|FILE",
+        help="Depth camera, or a file of 'simgen sensor fit'; surfaces (shiny, dark, translucent) and parameters "
+        "follow: stereo,shiny,baseline=0.1.",
     ),
     click.option("--keep-ideal", is_flag=True, default=None, help="Store the depth without the sensor's errors too."),
     click.option(
