@@ -11,12 +11,13 @@ import torch
 
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.depth.clean import clean_depth
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.config import preset, with_options
 from posenet.network.depth_input import pad_to_multiple
 from posenet.network.pose_network import PoseNetwork
-from posenet.prediction.any_camera import check_distance, trained_grid, without_nan
+from posenet.prediction.any_camera import check_distance, trained_grid
 from posenet.prediction.predictor import Predictor
 
 TRAINED = Camera(160, 120, 144.0, 140.0, 79.5, 59.5)
@@ -87,11 +88,11 @@ def test_bins_of_absolute_depth_refuse_what_they_cannot_reach(debug_shards: Path
 def test_nan_infinity_and_negative_depths_are_no_return() -> None:
     camera = Camera(5, 1, 10.0, 10.0, 2.0, 0.0)
     depth = np.array([[np.nan, np.inf, -np.inf, -1.0, 0.5]])
-    assert without_nan(depth, camera, "x").tolist() == [[0, 0, 0, 0, 0.5]]
+    assert clean_depth(depth, camera, "x").tolist() == [[0, 0, 0, 0, 0.5]]
     with pytest.raises(InputError, match="5 x 1"):
-        without_nan(depth.T, camera, "x")
+        clean_depth(depth.T, camera, "x")
     with pytest.raises(InputError, match="type"):
-        without_nan(depth.astype(complex), camera, "x")
+        clean_depth(depth.astype(complex), camera, "x")
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 9), (8, 8), (120, 157)])

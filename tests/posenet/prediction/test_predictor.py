@@ -14,13 +14,14 @@ from click.testing import CliRunner
 
 from evalkit.datasets.documents import read_predictions
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.depth.images import read_depth
+from evalkit.depth.sources import open_source
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.commands.cli import main
 from posenet.config import preset
 from posenet.models.model_file import load_model, save_model
 from posenet.network.pose_network import PoseNetwork
-from posenet.prediction.images import read_depth
 from posenet.prediction.predictor import Predictor
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -113,7 +114,7 @@ def test_labels_of_the_shards_are_not_read(
 
     monkeypatch.setattr(ShardReader, "labels", forbidden)
     monkeypatch.setattr(ShardReader, "__getitem__", forbidden)
-    predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
+    predict(run_folder, open_source(debug_shards), tmp_path / "preds.json", device="cpu", max_images=2)
     assert len(read_predictions(tmp_path / "preds.json").images) == 2
 
 
@@ -238,8 +239,8 @@ def test_predictions_are_written_as_bops_results_with_the_object_numbered_by_the
     from evalkit.adapters.bop import results
     from posenet.commands.predict import predict
 
-    predict(run_folder, debug_shards, tmp_path / "preds.json", device="cpu", max_images=2)
-    predict(run_folder, debug_shards, tmp_path / "results.csv", device="cpu", max_images=2, object_id=7)
+    predict(run_folder, open_source(debug_shards), tmp_path / "preds.json", device="cpu", max_images=2)
+    predict(run_folder, open_source(debug_shards), tmp_path / "results.csv", device="cpu", max_images=2, object_id=7)
     ours, theirs = (
         {tuple(map(int, image.id.split("-"))): image for image in found.images if len(image.score)}  # scene, image
         for found in (
@@ -251,5 +252,5 @@ def test_predictions_are_written_as_bops_results_with_the_object_numbered_by_the
     for name, image in ours.items():
         np.testing.assert_allclose(theirs[name].cam_from_obj, image.cam_from_obj, atol=1e-9)
     with pytest.raises(InputError, match="--object-id"):
-        predict(run_folder, debug_shards, tmp_path / "none.csv", device="cpu")
+        predict(run_folder, open_source(debug_shards), tmp_path / "none.csv", device="cpu")
     assert not (tmp_path / "none.csv").exists()

@@ -12,6 +12,7 @@ from evalkit.atomic import sha256_of_file, write_json
 from evalkit.commands.camera_command import camera
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands, suggest_next
+from evalkit.commands.verify_command import verify
 from evalkit.datasets import documents
 from evalkit.datasets.scene import SHARES, Share
 from evalkit.errors import InputError
@@ -34,6 +35,7 @@ main.add_command(gt)
 main.add_command(preds)
 main.add_command(depth)
 main.add_command(camera)
+main.add_command(verify)
 
 
 visibility_option = click.option(

@@ -38,17 +38,23 @@ class Commands(click.Group):
             ctx.exit(EXIT_INTERRUPTED)
 
 
-class _Warnings(logging.Handler):
+class _Sentences(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        click.echo(f"Warning: {record.getMessage()}", err=True)
+        word = "Warning" if record.levelno >= logging.WARNING else "Note"
+        click.echo(f"{word}: {record.getMessage()}", err=True)
 
 
 def show_warnings() -> None:
     """Print what the libraries that a command calls log as warnings, each as a sentence on stderr."""
     for library in ("evalkit", "simgen"):
         log = logging.getLogger(library)
-        if not any(isinstance(handler, _Warnings) for handler in log.handlers):
-            log.addHandler(_Warnings(logging.WARNING))
+        if not any(isinstance(handler, _Sentences) for handler in log.handlers):
+            log.addHandler(_Sentences())
+
+
+def show_notes(library: str) -> None:
+    """Print what a library says of its work, too, not only its warnings."""
+    logging.getLogger(library).setLevel(logging.INFO)
 
 
 def suggest_next(*words: str | Path) -> None:

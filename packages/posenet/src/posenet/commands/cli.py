@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from evalkit.commands.group import Commands
+from evalkit.commands.image_options import image_options, opened
 from evalkit.errors import InputError
 from posenet.commands.log import show_log
 from posenet.commands.next_steps import after_fit, missing_model
@@ -144,21 +145,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
     show_default=True,
     help="preds.json, or BOP's results as .csv.",
 )
-@click.option(
-    "--camera",
-    "camera_file",
-    type=click.Path(path_type=Path),
-    help="Of image files: ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
-)
-@click.option("--rectified", is_flag=True, help="The images were rectified: no lens, and P of a camera_info.")
-@click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Meters a step, e.g. 0.001.")
-@click.option("--no-return", type=float, help="Stored value that means no return.  [default: saturated ones]")
-@click.option(
-    "--depth-along", type=click.Choice(["axis", "ray"]), default="axis", show_default=True, help="What depth measures."
-)
-@click.option("--rotate", type=click.Choice(["90", "180", "270"]), help="Turn images clockwise to be the camera's.")
-@click.option("--targets", type=click.Path(path_type=Path), help="Of a BOP dataset: test_targets_bop19.json.")
-@click.option("--sensor", help="Of a BOP dataset with several sensors, this one, such as cam1.")
+@image_options
 @click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object, for -o results.csv.")
 @click.option("--mask", type=click.Path(path_type=Path), help="Look only where this image is not black: the bin.")
 @click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
@@ -183,9 +170,6 @@ def predict(
     no_registration: bool,
     no_offset: bool,
     hypotheses: int | None,
-    no_return: float | None,
-    depth_along: str,
-    rotate: str | None,
     mask: Path | None,
     roi: str | None,
     **options: Any,
@@ -200,17 +184,13 @@ def predict(
     from posenet.commands import predict as commands
     from posenet.network.predict_options import PredictOptions
     from posenet.prediction.area_of_interest import AreaOfInterest
-    from posenet.prediction.images import Reading
-    from posenet.prediction.sources import SOURCES
 
     if model is None:
         raise missing_model()
-    if source is None:
-        raise InputError(f"Missing SOURCE, the images to predict on: give {SOURCES}.")
     show_log()
-    options["reading"] = Reading(no_return=no_return, along_ray=depth_along == "ray", turned=int(rotate or 0))
+    images = opened(source, options, "to predict on")
     switched = PredictOptions(not no_registration, not no_offset, hypotheses)
-    click.echo(commands.predict(model, source, options=switched, area=AreaOfInterest(mask, roi), **options))
+    click.echo(commands.predict(model, images, options=switched, area=AreaOfInterest(mask, roi), **options))
 
 
 @main.command()

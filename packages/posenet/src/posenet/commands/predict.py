@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import logging
 import tempfile
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from evalkit.adapters.bop import results as bop_results
 from evalkit.datasets.documents import write_predictions
+from evalkit.depth.sources import DepthSource
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
-from posenet.prediction.any_camera import without_nan
 from posenet.prediction.area_of_interest import AreaOfInterest
 from posenet.prediction.pose_picture import draw_predictions, write_picture
 from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
-from posenet.prediction.sources import DepthSource, open_source
 
-log = logging.getLogger(__name__)
 BATCH = 4
 
 Found = list[tuple[str, PredictedPoses]]
@@ -31,10 +27,8 @@ Found = list[tuple[str, PredictedPoses]]
 
 def predict(
     model: Path,
-    path: Path,
+    source: DepthSource,
     out: Path,
-    camera_file: Path | None = None,
-    depth_unit: float | None = None,
     picture: Path | None = None,
     picture_score: float = 0.5,
     max_images: int | None = None,
@@ -44,20 +38,15 @@ def predict(
     options: PredictOptions | None = None,
     area: AreaOfInterest | None = None,
     object_id: int | None = None,
-    **source_options: Any,
 ) -> str:
-    """Predict on the images at `path`, write `out` and, if asked for, a picture of the first; returns a summary.
+    """Predict on the images of `source`, write `out` and, if asked for, a picture of the first; returns a summary.
 
-    An `out` that ends in .csv becomes BOP's results file, with `object_id` as the object's number. What
-    :func:`posenet.prediction.sources.open_source` takes beside camera and unit goes in `source_options`.
+    An `out` that ends in .csv becomes BOP's results file, with `object_id` as the object's number.
 
     Raises:
         InputError: the model, the images, the area or the device cannot be used.
         OSError: a folder cannot be written; said before the work, not after it.
     """
-    source = open_source(path, camera_file, depth_unit, **source_options)
-    for remark in source.remarks:
-        log.info(remark)
     area = area or AreaOfInterest()
     for camera in dict.fromkeys(source.cameras):
         area.mask(camera)  # refused now, not after an hour
@@ -74,9 +63,9 @@ def predict(
         write_predictions(out, document)
     if picture is not None and found:
         camera = source.cameras[numbers[0]]
-        depth = without_nan(source.read(numbers[0]), camera, f"image '{source.names[numbers[0]]}'")
+        depth = source.depth(numbers[0])
         write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
-    after_predict(path, out, source.truth, drawn=picture is not None)
+    after_predict(source.path, out, source.truth, drawn=picture is not None)
     return f"{_summary(out, found)}, layers in {predictor.precision}"
 
 

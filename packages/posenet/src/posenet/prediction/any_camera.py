@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from typing import Any
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,37 +10,12 @@ from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from posenet.network.depth_input import scene_depth
 from posenet.network.pose_network import PoseNetwork
-from posenet.prediction.no_return import without_code
-
-log = logging.getLogger(__name__)
 
 TOLERANCE = 0.02  # focal lengths this close to the training camera's need no resampling
 FARTHER = 1.4  # times the training set's depths, from where on images are enlarged to the trained size of objects
 LEAST_PIXELS = 6.0  # an object smaller than this in its image shows nothing
 LARGEST_SHARE = 1.5  # nor does one larger than so many image sides
 MOST_PIXELS = 40e6  # of a resampled image
-
-
-def without_nan(depth: NDArray[Any], camera: Camera, title: str) -> NDArray[np.float32]:
-    """The image (height, width) as float32, 0 where nothing returned: NaN, infinity, negative and saturated depths too.
-
-    Raises:
-        InputError: it is not of the camera's size, or holds no numbers.
-    """
-    depth = np.asarray(depth)
-    if depth.shape != (camera.height, camera.width):
-        raise InputError(
-            f"{title} is {' x '.join(map(str, depth.shape[::-1]))} pixels but the camera says "
-            f"{camera.width} x {camera.height}; give the camera that took it."
-        )
-    if depth.dtype.kind not in "uif":
-        raise InputError(f"{title} holds values of type {depth.dtype}, and depth is meters.")
-    depth, code = without_code(depth)
-    if code is not None:
-        log.info("%s: depths of %g count as no return.", title, code)
-    with np.errstate(over="ignore"):
-        clean = np.nan_to_num(depth.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return np.maximum(clean, 0.0)
 
 
 def distance(depth: NDArray[np.float32], network: PoseNetwork) -> float:

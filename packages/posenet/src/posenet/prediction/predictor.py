@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from evalkit.datasets.documents import PredictionImage, Predictions
+from evalkit.depth.clean import clean_depth
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.device import choose_device, layers_in_bf16
@@ -21,7 +22,7 @@ from posenet.network.depth_input import intrinsics_of, resample
 from posenet.network.pose_network import PoseNetwork
 from posenet.network.predict_options import PredictOptions
 from posenet.network.stages import ImagePoses
-from posenet.prediction.any_camera import check_distance, trained_grid, without_nan
+from posenet.prediction.any_camera import check_distance, trained_grid
 from posenet.prediction.area_of_interest import Mask, cut_out
 from posenet.refinement.refiner import Refiner
 
@@ -112,7 +113,7 @@ class Predictor:
         """As :meth:`predict`, for several images of one camera at once; `names` call them in messages."""
         started = time.perf_counter()
         titles = [f"image '{name}'" for name in names] or ["the depth image"] * len(depths)
-        clean = [without_nan(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
+        clean = [clean_depth(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
         corner = (0, 0)
         if mask is not None:
             clean, camera, corner = cut_out(clean, camera, mask)
@@ -131,7 +132,7 @@ class Predictor:
         Raises:
             InputError: see :meth:`predict`.
         """
-        clean = without_nan(depth, camera, title)
+        clean = clean_depth(depth, camera, title)
         check_distance(clean, camera, self.network, title)
         return clean
 

@@ -66,17 +66,29 @@ def depth_images(folder: Path) -> Iterator[DepthImage]:
     Raises:
         InputError: the camera or its clipping planes are missing, or there are no images.
     """
-    camera, _ = read_camera_params(folder / CAMERA_FILE)
-    near, far = _clip_planes(folder / CAMERA_FILE)
-    paths = sorted(path for path in (folder / "depth").glob("*") if path.suffix.lower() == ".png")
+    return clipped_images(folder / "depth", folder / CAMERA_FILE)
+
+
+def clipped_images(images: Path, parameters: Path) -> Iterator[DepthImage]:
+    """The depth images IMAGES/*.PNG, whose values run between the clipping planes that `parameters` states.
+
+    Raises:
+        InputError: the camera or its clipping planes are missing, or there are no images.
+    """
+    camera, _ = read_camera_params(parameters)
+    near, far = _clip_planes(parameters)
+    paths = sorted(path for path in images.glob("*") if path.suffix.lower() == ".png")
     if not paths:
-        raise InputError(f"{folder / 'depth'}: the folder holds no depth images (*.PNG); check the path.")
+        raise InputError(f"{images}: the folder holds no depth images (*.PNG); check the path.")
     for path in paths:
         yield DepthImage(path.stem, camera, partial(_depth, path, near, far))
 
 
 def _depth(path: Path, near: float, far: float) -> Array:
-    return between_clip_planes(read_raw_depth(path), near, far)
+    raw = read_raw_depth(path)
+    if raw.dtype != np.uint16:
+        raise InputError(f"{path}: holds {raw.dtype} values, and a Siléane depth image is a 16-bit PNG.")
+    return between_clip_planes(raw, near, far)
 
 
 def read_predictions(folder: Path, object_name: str | None = None, camera_params: Path | None = None) -> Predictions:

@@ -1,23 +1,24 @@
-"""Where depth images to predict on come from: shards, one image, a folder of images, a folder of BOP or Siléane."""
+"""Where depth images come from: shards, one image, a folder of images, a folder of BOP or Siléane."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.bop import dataset as bop
-from evalkit.adapters.sileane.dataset import CAMERA_FILE, read_camera_params
+from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets.shard_folder import DATASET_FILE, ShardDataset
+from evalkit.depth import point_cloud
+from evalkit.depth.clean import clean_depth
+from evalkit.depth.images import SUFFIXES, Reading
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.camera_files import read_camera
-from posenet.prediction import point_cloud
-from posenet.prediction.images import SUFFIXES, Reading, read_clipped_depth
+from evalkit.objects.model import ObjectModel
 
 SOURCES = (
     "a folder of shards, a depth image or a folder of them (PNG, TIFF, NPY, EXR, organized PLY or PCD) with --camera, "
@@ -32,18 +33,29 @@ class DepthSource:
     Attributes:
         remarks: sentences on what was chosen and applied.
         truth: what `evalkit gt --from` reads the source's ground truth by, None where it has none.
+        model: the object that the images show, where the source says so.
     """
 
+    path: Path
     names: list[str]
     cameras: list[Camera]  # one an image
     read: Callable[[int], NDArray[np.float32]]  # number of an image -> (height, width) meters, 0 = no return
     remarks: tuple[str, ...] = ()
     truth: str | None = None
+    model: ObjectModel | None = None
 
     @property
     def camera(self) -> Camera:
         """The camera of the first image."""
         return self.cameras[0]
+
+    def depth(self, number: int) -> NDArray[np.float32]:
+        """An image (height, width) in meters, 0 where nothing returned, whatever its source writes there.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+        return clean_depth(self.read(number), self.cameras[number], f"image '{self.names[number]}'")
 
     def spread(self, most: int | None) -> list[int]:
         """Numbers of at most `most` images, evenly spread over the source."""
@@ -84,9 +96,9 @@ def open_source(
     if targets is not None or sensor is not None:
         raise InputError(f"{path}: is no BOP dataset with scene_camera.json, which --targets and --sensor speak of.")
     if path.is_dir() and not files_only:
-        parameters = next((f / CAMERA_FILE for f in (path, path.parent) if (f / CAMERA_FILE).is_file()), None)
-        if parameters is not None:
-            return open_sileane(path, parameters)
+        home = next((folder for folder in (path, path.parent) if (folder / sileane.CAMERA_FILE).is_file()), None)
+        if home is not None:
+            return open_sileane(path, home)
     return open_images(path, camera_file, reading, rectified)
 
 
@@ -106,7 +118,7 @@ def open_shards(path: Path) -> DepthSource:
         reader, row = located[number]
         return reader.depth_raw(row) * unit
 
-    return DepthSource(names, [dataset.header.camera] * len(names), read, truth="shards")
+    return DepthSource(path, names, [dataset.header.camera] * len(names), read, (), "shards", dataset.header.object)
 
 
 def open_images(
@@ -143,7 +155,7 @@ def open_images(
             reading = replace(reading, integer_unit=found.depth_unit)
             remarks.append(f"{camera_file}: its depth_scale gives whole numbers {found.depth_unit:g} m a step.")
     names, cameras = [file.stem for file in files], [camera] * len(files)
-    return DepthSource(names, cameras, lambda number: reading.image(files[number], camera), tuple(remarks))
+    return DepthSource(path, names, cameras, lambda number: reading.image(files[number], camera), tuple(remarks))
 
 
 def open_bop(path: Path, targets: Path | None = None, sensor: str | None = None) -> DepthSource:
@@ -158,6 +170,7 @@ def open_bop(path: Path, targets: Path | None = None, sensor: str | None = None)
     if not images:
         raise InputError(f"{path}: holds none of the images that {targets} lists; give the split that it is of.")
     return DepthSource(
+        path,
         [image.id for image in images],
         [image.camera for image in images],
         lambda number: images[number].read().astype(np.float32),
@@ -194,17 +207,20 @@ def _is_bop(path: Path, sensor: str | None, targets: Path | None) -> bool:
     return False
 
 
-def open_sileane(folder: Path, parameters: Path) -> DepthSource:
+def open_sileane(folder: Path, home: Path) -> DepthSource:
     """A folder of the Siléane dataset (Brégier et al. 2017): FOLDER/depth/*.png, or the images in FOLDER itself.
 
-    `parameters` is camera_params.txt; images are named as their files, and so as the scenes of the ground truth.
+    `home` holds camera_params.txt; images are named as their files, and so as the scenes of the ground truth.
     """
-    files = _images_in(folder / "depth" if (folder / "depth").is_dir() else folder)
-    camera, _ = read_camera_params(parameters)
-    read = partial(read_clipped_depth, clip=_clip_planes(parameters))
-    names, cameras = [file.stem for file in files], [camera] * len(files)
-    truth = "sileane" if (parameters.parent / "poseutils.json").is_file() else None
-    return DepthSource(names, cameras, lambda number: read(files[number]), truth=truth)
+    inner = folder / "depth"
+    images = list(sileane.clipped_images(inner if inner.is_dir() else folder, home / sileane.CAMERA_FILE))
+    return DepthSource(
+        folder,
+        [image.id for image in images],
+        [image.camera for image in images],
+        lambda number: images[number].read().astype(np.float32),
+        truth="sileane" if (home / "poseutils.json").is_file() else None,
+    )
 
 
 def _is_shards(path: Path) -> bool:
@@ -222,18 +238,3 @@ def _images_in(folder: Path) -> list[Path]:
     if twin is not None:
         raise InputError(f"{twin}: has the same name as {by_name[twin.stem].name}; keep one image of each name.")
     return files
-
-
-def _clip_planes(parameters: Path) -> tuple[float, float]:
-    """The depths (meters) that the lowest and the highest value of a Siléane depth image stand for."""
-    lines = (line.split() for line in parameters.read_text(encoding="utf-8", errors="replace").splitlines())
-    fields = {words[0]: words[1] for words in lines if len(words) == 2}
-    try:
-        near, far = float(fields["clip_start"]), float(fields["clip_end"])
-    except (KeyError, ValueError):
-        near = far = 0.0
-    if not 0 <= near < far < np.inf:
-        raise InputError(
-            f"{parameters}: the lines 'clip_start' and 'clip_end' must hold meters, the first the smaller."
-        )
-    return near, far

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from evalkit.adapters.depth_images import between_clip_planes
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.depth.sources import open_source
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
-from posenet.prediction.images import read_clipped_depth
-from posenet.prediction.sources import open_source
 
 CAMERA = Camera(40, 30, 50.0, 51.0, 19.0, 15.5)
 CLIP = (0.87599, 1.70602)
@@ -78,10 +78,8 @@ def test_a_sileane_folder_is_read_by_its_own_camera_and_clipping_planes(tmp_path
         assert np.abs(source.read(1) - depth_image(1)).max() <= (CLIP[1] - CLIP[0]) / 65535
 
 
-def test_both_ends_of_sileanes_scale_are_no_return(tmp_path: Path) -> None:
-    path = tmp_path / "depth.png"
-    cv2.imwrite(str(path), np.array([[0, 1, 65534, 65535]], np.uint16))
-    depth = read_clipped_depth(path, (1.0, 2.0))[0]
+def test_both_ends_of_sileanes_scale_are_no_return() -> None:
+    depth = between_clip_planes(np.array([0, 1, 65534, 65535], np.uint16), 1.0, 2.0)
     assert depth[0] == 0 and depth[3] == 0
     np.testing.assert_allclose(depth[1:3], [1.0, 2.0], atol=2e-5)
 

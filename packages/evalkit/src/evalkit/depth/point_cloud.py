@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.depth.pcd import read_pcd
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
-from posenet.prediction.pcd import read_pcd
 
 Array = NDArray[np.float64]
 SUFFIXES = (".ply", ".pcd")

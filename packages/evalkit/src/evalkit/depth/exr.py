@@ -23,7 +23,7 @@ def read_exr(path: Path) -> NDArray[Any]:
         import OpenEXR
     except ImportError:
         raise InputError(
-            f"{path}: reading EXR needs the OpenEXR package: pip install 'binpose-posenet[exr]', or save a TIFF."
+            f"{path}: reading EXR needs the OpenEXR package: pip install 'binpose-evalkit[exr]', or save a TIFF."
         ) from None
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from evalkit.depth.clean import clean_depth
+from evalkit.depth.images import Reading, read_depth
+from evalkit.depth.no_return import without_code
+from evalkit.depth.pcd import decompress_lzf
+from evalkit.depth.sources import open_source
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.lens import Lens
-from posenet.prediction.any_camera import without_nan
-from posenet.prediction.images import Reading, read_depth
-from posenet.prediction.no_return import without_code
-from posenet.prediction.pcd import decompress_lzf
-from posenet.prediction.sources import open_source
 
 CAMERA = Camera(40, 30, 50.0, 51.0, 19.0, 15.5)
 
@@ -58,7 +58,7 @@ def test_a_saturated_value_is_no_return_and_that_is_said(
 @pytest.mark.parametrize("unit", [1e-3, 1e-4, 2.5e-4, 1 / 5000])
 def test_saturated_depths_that_are_meters_already_are_no_return_too(unit: float) -> None:
     meters = steps(65535, unit).astype(np.float32) * np.float32(unit)
-    clean = without_nan(meters, CAMERA, "the image")
+    clean = clean_depth(meters, CAMERA, "the image")
     assert clean.max() < 1.0
     assert (clean[5:9, 7:12] == 0).all()
 

@@ -13,17 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.depth import point_cloud
+from evalkit.depth.exr import read_exr
+from evalkit.depth.no_return import without_code
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.lens import Lens
-from posenet.prediction import point_cloud
-from posenet.prediction.exr import read_exr
-from posenet.prediction.no_return import without_code
 
 log = logging.getLogger(__name__)
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *point_cloud.SUFFIXES)
 KINDS = "a 16-bit PNG, a TIFF, NPY or EXR file, or an organized point cloud (PLY, PCD)"
-HIGHEST = 65535  # of a 16-bit image
 FARTHEST = 50.0  # meters; what is farther at the median is in another unit
 TURNS = (0, 90, 180, 270)
 
@@ -127,22 +126,6 @@ def _cosines(camera: Camera) -> NDArray[np.float32]:
     """Axial depth over distance along the ray, for every pixel (height, width)."""
     rays = camera.point_map(np.ones((camera.height, camera.width)))
     return (1.0 / np.linalg.norm(rays, axis=-1)).astype(np.float32)
-
-
-def read_clipped_depth(path: Path | str, clip: tuple[float, float]) -> NDArray[np.float32]:
-    """A 16-bit image (height, width) whose values run linearly between two depths, as meters: the Siléane coding.
-
-    Both ends of the scale mean no return: what lies at or beyond a clipping plane was not seen.
-
-    Raises:
-        InputError: the file is missing or is no 16-bit image of one channel.
-    """
-    values = _read_values(Path(path))
-    if values.dtype != np.uint16:
-        raise InputError(f"{path}: holds {values.dtype} values, and a Siléane depth image is a 16-bit PNG.")
-    near, far = clip
-    depth = near + (far - near) / HIGHEST * values.astype(np.float32)
-    return np.where((values > 0) & (values < HIGHEST), depth, 0.0).astype(np.float32)
 
 
 def _read_values(path: Path) -> NDArray[Any]:

@@ -1,0 +1,1 @@
+"""Depth images from files, whoever took them, as meters."""
