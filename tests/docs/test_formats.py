@@ -22,6 +22,8 @@ from evalkit.datasets.scene import Instances, View
 from evalkit.datasets.shard_folder import read_dataset_file, write_dataset_file
 from evalkit.datasets.shard_format import INSTANCE_DTYPES, INSTANCE_SHAPES, ShardHeader
 from evalkit.datasets.shard_writer import ShardWriter
+from evalkit.evidence.verdict import PoseEvidence, Verdict
+from evalkit.evidence.verification import Verification, VerifiedImage
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 
@@ -78,6 +80,16 @@ def test_the_chapters_on_documents_name_every_field(tmp_path: Path) -> None:
         fields = set(document) | {f"images[].{key}" for key in image}
         fields |= {f"images[].{rows}[].{key}" for key in image[rows][0]}
         assert fields == chapter(anchor) | {"images"}
+
+
+def test_the_chapter_on_verdicts_names_every_field() -> None:
+    pose, one = np.eye(4)[None], np.ones(1)
+    evidence = PoseEvidence(Verdict.VERIFIED, "", 1.0, 0.0, 0.0, 0.0, 0.0, pose[0], np.zeros(0, int), 1)
+    image = VerifiedImage("a", pose, one, np.zeros(1, int), [evidence], [None])
+    document = Verification([image], 0.5, box()).to_json()
+    fields = set(document) - {"poses_by_image"} | {"inputs"}
+    fields |= {f"poses_by_image.ID[].{key}" for key in document["poses_by_image"]["a"][0]}
+    assert fields == chapter("verification")
 
 
 def test_the_chapters_on_models_and_runs_name_every_key() -> None:

@@ -15,10 +15,11 @@ from evalkit.commands.cli import main
 from evalkit.datasets.documents import PredictionImage, Predictions, write_predictions
 from evalkit.datasets.ground_truth import read_ground_truth
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.depth.noise import depth_noise
 from evalkit.depth.sources import DepthSource, open_source
 from evalkit.errors import InputError
 from evalkit.evidence.ray_tracer import RayTracer
-from evalkit.evidence.verdict import PoseEvidence, Verdict, Verifier, depth_noise
+from evalkit.evidence.verdict import PoseEvidence, Verdict, Verifier
 from evalkit.evidence.verification import Verification, verify, verify_image
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
@@ -32,6 +33,8 @@ FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
+
+PART = ("--units", "m", "--symmetry", "none", "--mesh")
 
 
 def box() -> ObjectModel:
@@ -172,7 +175,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_folder_of_images_is_verified_as_it_is_predicted_on(folder: Path) -> None:
-    words = ["verify", str(folder / "preds.json"), str(folder), "--mesh", str(folder / "part.obj"), "--units", "m"]
+    words = ["verify", str(folder / "preds.json"), str(folder), *PART, str(folder / "part.obj")]
     words += ["--depth-unit", "0.001", "--json", str(folder / "verdicts.json")]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
@@ -198,7 +201,7 @@ def test_every_kind_of_reading_serves_verification(folder: Path) -> None:
         for name in ("a", "b"):
             (folder / f"{name}.png").unlink(missing_ok=True)
             np.save(folder / f"{name}.npy", values.astype(np.float32))
-        words = ["verify", folder / "preds.json", folder, "--mesh", folder / "part.obj", "--units", "m", *options]
+        words = ["verify", folder / "preds.json", folder, *PART, folder / "part.obj", *options]
         done = CliRunner().invoke(main, list(map(str, words)))
         assert "verified      2 instances" in done.output, (options, done.output)
 
@@ -218,14 +221,15 @@ def test_what_cannot_be_verified_is_refused_in_one_sentence(folder: Path) -> Non
     images = [PredictionImage("c", at(0, 0, 0.4)[None], np.ones(1))]
     write_predictions(folder / "others.json", Predictions("box", images))
     write_predictions(folder / "world.json", Predictions("box", [replace(images[0], id="a")], "world"))
-    mesh = ["--mesh", str(folder / "part.obj"), "--units", "m", "--depth-unit", "0.001"]
+    part = [*PART, str(folder / "part.obj")]
+    mesh = [*part, "--depth-unit", "0.001"]
     refusals: list[tuple[str, list[str], str]] = [
         ("preds.json", ["--depth-unit", "0.001"], "give --mesh"),
         ("preds.json", ["--units", "mm", "--depth-unit", "0.001"], "give --mesh"),
-        ("preds.json", [*mesh[:1], str(folder / "large.obj"), *mesh[2:]], "mm across"),
+        ("preds.json", [*PART, str(folder / "large.obj"), "--depth-unit", "0.001"], "mm across"),
         ("others.json", mesh, "image 'c' is not among"),
         ("world.json", mesh, "world's frame"),
-        ("preds.json", mesh[:4], "--depth-unit 0.001"),
+        ("preds.json", part, "--depth-unit 0.001"),
         ("absent.json", mesh, r"absent.json"),
     ]
     for preds, options, says in refusals:

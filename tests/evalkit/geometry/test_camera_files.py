@@ -238,6 +238,13 @@ CONTRADICTIONS = {
     "two focal lengths": BASE | {"K": [601.0, *K[1:]]},
     "two matrices": {"width": 640, "height": 480, "K": K, "camera_matrix": [601.0, *K[1:]]},
     "two widths": BASE | {"image_width": 641},
+    "a width and a size": BASE | {"resolution": [641, 480]},
+    "one focal length and two": BASE | {"focal_length": 601.0},
+    "a principal point and another": BASE | {"principal_point": [300.0, 200.0]},
+    "a matrix and one number of it": {"width": 640, "height": 480, "K": K, "fx": 601.0},
+    "two skews": {"width": 640, "height": 480, "K": [K[0], 2.0, *K[2:]], "skew": 3.0},
+    "a list of coefficients and one of them": BASE | {"D": [0.1, 0, 0, 0], "k1": 0.2},
+    "a size within and another without": {"width": 1280, "camera": BASE},
     "two distortions": BASE | {"D": [0.1, 0, 0, 0], "dist_coeffs": [0.2, 0, 0, 0]},
     "the window is not in the image": BASE | {"roi": {"x_offset": 600, "y_offset": 0, "width": 100, "height": 480}},
     "a matrix of the window already": BASE
@@ -254,6 +261,23 @@ CONTRADICTIONS = {
     "a fisheye of RealSense": BASE | {"model": 3},
     "binned away": BASE | {"binning_x": 900, "binning_y": 1},
 }
+
+
+AGREEING = {
+    "an integer and a number": BASE | {"image_width": 640.0},
+    "one focal length twice": BASE | {"focal_length": [600.0, 600.0 * (1 + 1e-9)]},
+    "a matrix and all its numbers": BASE | {"K": K},
+    "within and without": {"width": 640, "camera": BASE},
+    "coefficients twice": BASE | {"D": [0.1, 0, 0, 0], "k1": 0.1},
+}
+
+
+@pytest.mark.parametrize("document", AGREEING.values(), ids=AGREEING)
+def test_what_is_said_twice_and_agrees_is_read(tmp_path: Path, document: dict[str, object]) -> None:
+    (tmp_path / "camera.json").write_text(json.dumps(document))
+    found = read_camera(tmp_path / "camera.json")
+    (tmp_path / "base.json").write_text(json.dumps(BASE))
+    assert found.camera == read_camera(tmp_path / "base.json").camera
 
 
 @pytest.mark.parametrize("document", CONTRADICTIONS.values(), ids=CONTRADICTIONS)

@@ -67,3 +67,11 @@ def opened(source: Path | None, options: dict[str, Any], purpose: str) -> DepthS
     for remark in found.remarks:
         click.echo(f"Note: {remark}", err=True)
     return found
+
+
+def as_typed(options: dict[str, Any]) -> list[str]:
+    """Those of :func:`image_options` that were given, as words of the next command."""
+    names = {"camera_file": "--camera"}
+    given = {name: options[name] for name in NAMES if options[name] not in (None, False, "axis")}
+    words = ([names.get(name, "--" + name.replace("_", "-")), str(value)] for name, value in given.items())
+    return [word for pair in words for word in pair if word != "True"]

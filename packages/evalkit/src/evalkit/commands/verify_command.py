@@ -34,6 +34,8 @@ LISTED = 20  # contradicted poses
 )
 @image_options
 @click.option("--json", "json_path", type=FILE, help="Write every pose's verdict and reason here.")
+@click.option("--picture", type=FILE, help="Draw the poses over their depth images on one contact sheet, a PNG.")
+@click.option("--max-drawn", type=click.IntRange(min=1), default=24, show_default=True, help="Images on the sheet.")
 def verify(
     preds: Path,
     source: Path,
@@ -43,6 +45,8 @@ def verify(
     min_score: float,
     tolerance: float | None,
     json_path: Path | None,
+    picture: Path | None,
+    max_drawn: int,
     **options: Any,
 ) -> None:
     """Score PREDS (preds.json) on the depth images of SOURCE without ground truth.
@@ -68,7 +72,21 @@ def verify(
         from evalkit.commands.cli import described_inputs
 
         write_json(json_path, {**found.to_json(), "inputs": described_inputs(predictions=preds)}, indent=1)
+    if picture is not None:
+        _draw(picture, found, images, max_drawn)
     click.echo(summary(found))
+
+
+def _draw(path: Path, found: Verification, images: DepthSource, most: int) -> None:
+    from evalkit.evidence.verdict_picture import MEANING, caption, draw_verdicts, write_sheet
+
+    tiles = []
+    for image in found.images[:most]:
+        number = images.names.index(image.id)
+        drawn = draw_verdicts(images.depth(number), images.cameras[number], found.model, image)
+        tiles.append((caption(image), drawn))
+    write_sheet(path, tiles)
+    click.echo(f"{path}: {len(tiles)} of {len(found.images)} images; {MEANING}", err=True)
 
 
 def _model(images: DepthSource, mesh: Path | None, units: str | None, symmetry: str | None) -> ObjectModel:

@@ -64,7 +64,8 @@ class RayTracer:
         """The object at a pose (4, 4) as `camera` sees it, by at most about `most` rays."""
         rectangle = self._rectangle(cam_from_obj, camera)
         if rectangle is None:
-            return Traced(*np.zeros((2, 0), np.int64), np.zeros(0), np.zeros((0, 3)), 0, 1)
+            nothing = np.zeros(0, np.int64)
+            return Traced(nothing, nothing, np.zeros(0), np.zeros((0, 3)), 0, 1)
         x0, y0, x1, y1 = rectangle
         stride = max(1, int(np.ceil(np.sqrt((x1 - x0) * (y1 - y0) / most))))
         v, u = (grid.ravel() for grid in np.mgrid[y0:y1:stride, x0:x1:stride])

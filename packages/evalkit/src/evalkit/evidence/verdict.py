@@ -1,6 +1,6 @@
 """Whether a depth image verifies a pose, contradicts it, or cannot tell.
 
-The object is ray traced at the pose, fitted to the image first (:mod:`evalkit.evidence.fit`). At each pixel of its
+The object is ray traced at the pose, fitted to the image first (:mod:`evalkit.evidence.pose_fit`). At each pixel of its
 silhouette the measured depth
 
 * is the surface's own: it *agrees*;
@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.evidence.fit import fitted
+from evalkit.depth.noise import depth_noise
+from evalkit.evidence.pose_fit import fitted
 from evalkit.evidence.ray_tracer import RayTracer, Traced
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
@@ -99,19 +100,6 @@ class Verifier:
         return _judged(traced, depth, camera, tolerance, moved, model.threshold, pose)
 
 
-def depth_noise(depth: NDArray[np.float32]) -> float:
-    """The standard deviation (meters) of depth on smooth surfaces, from how far pixels are from their neighbors' mean.
-
-    What is correlated over pixels is underestimated; 0 where nothing returned.
-    """
-    before, here, after = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
-    known = (before > 0) & (here > 0) & (after > 0)
-    if not known.any():
-        return 0.0
-    bent = np.abs(before[known] - 2 * here[known] + after[known])
-    return float(1.4826 * np.median(bent) / np.sqrt(6.0))
-
-
 class _Counts(NamedTuple):
     """Pixels of a silhouette of which the depth image says something."""
 
@@ -145,9 +133,21 @@ def _judged(
         len(u) * (1.0 + traced.outside / max(len(traced), 1)),
     )
     verdict, reason = _rule(counts, traced.stride, moved / threshold)
-    shares = [part / max(counts.silhouette, 1.0) for part in (counts.agreeing, counts.through, counts.hidden)]
-    pixels = v[agrees] * camera.width + u[agrees]
-    return PoseEvidence(verdict, reason, *shares, max(0.0, 1.0 - sum(shares)), moved, pose, pixels, traced.stride)
+    agreeing, through, hidden = (
+        part / max(counts.silhouette, 1.0) for part in (counts.agreeing, counts.through, counts.hidden)
+    )
+    return PoseEvidence(
+        verdict=verdict,
+        reason=reason,
+        agreeing=agreeing,
+        through=through,
+        hidden=hidden,
+        missing=max(0.0, 1.0 - agreeing - through - hidden),
+        moved=moved,
+        cam_from_obj=pose,
+        pixels=v[agrees] * camera.width + u[agrees],
+        stride=traced.stride,
+    )
 
 
 def _rule(counts: _Counts, stride: int, moved: float) -> tuple[Verdict, str]:

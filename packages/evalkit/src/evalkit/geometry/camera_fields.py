@@ -61,7 +61,9 @@ def find_camera(document: Any, where: str) -> Fields:
     if not inner:
         raise InputError(f"{where}: holds no camera; {FORMATS}.")
     nested = find_camera(next(iter(inner.values())), where)
-    return {**{key: value for key, value in fields.items() if key not in nested}, **nested}
+    for name, value in fields.items():
+        add_field(nested, name, value, where)
+    return nested
 
 
 def _has_camera(document: dict[Any, Any], depth: int = 3) -> bool:
@@ -89,7 +91,7 @@ def canonical(document: dict[Any, Any], where: str) -> Fields:
             value = _by_rows(value)
         for inner, found in (opened or {name: value}).items():
             if inner != "intrinsics":
-                _add(fields, inner, found, where)
+                add_field(fields, inner, found, where)
     return fields
 
 
@@ -100,7 +102,12 @@ def _by_rows(value: Any) -> Any:
     return value
 
 
-def _add(fields: Fields, name: str, value: Any, where: str) -> None:
+def add_field(fields: Fields, name: str, value: Any, where: str) -> None:
+    """Note what a field says.
+
+    Raises:
+        InputError: another one said something else of the same thing.
+    """
     if name in fields and not _agree(fields[name], value):
         raise InputError(
             f"{where}: two fields give different values for the {WORDS.get(name, name)}; keep the one that is right."
@@ -112,7 +119,7 @@ def _agree(first: Any, second: Any) -> bool:
     if first == second:
         return True
     try:
-        a, b = (numbers(value, "", "") for value in (first, second))
+        a, b = (numbers([value] if isinstance(value, int | float) else value, "", "") for value in (first, second))
     except InputError:
         return False
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=SAME, atol=SAME))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from evalkit.errors import InputError
 from evalkit.geometry import camera_text
 from evalkit.geometry.camera import Camera
-from evalkit.geometry.camera_fields import RADIAL, Fields, find_camera, number, numbers
+from evalkit.geometry.camera_fields import RADIAL, Fields, add_field, find_camera, number, numbers
 from evalkit.geometry.camera_window import windowed
 from evalkit.geometry.lens import Lens
 
@@ -21,7 +21,9 @@ KNOWN_LENSES = (
     "plumb_bob", "rational_polynomial", "brown", "radtan", "none", "pinhole", "opencv", "perspective", "radial", "",
 )  # fmt: skip
 REALSENSE = {0: "none", 1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 4: "brown_conrady"}
+SAME_COEFFICIENT = 1e-6
 NEGLIGIBLE = 1e-9  # distortion coefficients and skew per focal length that are written out as good as zero
+PLACES = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2), "skew": (0, 1)}  # in the camera matrix
 SAME_PIXELS = 1e-3  # by which K and P differ when they are the same camera
 BOP_SCALES = (0.01, 10.0)  # millimeters a step; a depth_scale beyond is of another convention
 # COLMAP's parameters by camera model, in the order in which cameras.txt has them
@@ -124,7 +126,7 @@ def _expanded(fields: Fields, where: str) -> Fields:
         if value is None:
             raise InputError(f"{where}: the field '{name}' must hold two numbers.")
         for part, found in zip(parts, value, strict=True):
-            fields.setdefault(part, found)
+            add_field(fields, part, found, where)
     return fields
 
 
@@ -160,20 +162,33 @@ def _camera_matrix(fields: Fields, where: str, rectified: bool) -> tuple[NDArray
     """The intrinsics (3, 3) that the images follow, skew included, and the name of the field that they came from."""
     names = [name for name in ("matrix", "projection") if name in fields]
     known = {name: _matrix(fields, name, where) for name in names}
-    if not {"fx", "fy", "cx", "cy"}.isdisjoint(fields):
-        fx, fy, cx, cy = (number(fields, name, where) for name in ("fx", "fy", "cx", "cy"))
-        skew = number(fields, "skew", where) if "skew" in fields else 0.0
-        single = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        if "matrix" in known and np.abs(known["matrix"] - single).max() > SAME_PIXELS:
-            raise InputError(
-                f"{where}: fx, fy, cx, cy and the camera matrix say different things; keep the one that is right."
-            )
-        known["matrix"] = single
-    elif "skew" in fields and "matrix" in known and known["matrix"][0, 1] == 0:
-        known["matrix"][0, 1] = number(fields, "skew", where)
+    single = {name: number(fields, name, where) for name in PLACES if name in fields}
+    if "matrix" in known:
+        _compare(known["matrix"], single, where)
+    elif set(single) - {"skew"}:
+        known["matrix"] = np.eye(3)
+        for name in PLACES:
+            if name != "skew" or name in single:
+                known["matrix"][PLACES[name]] = number(fields, name, where)
     if "projection" in known and (rectified or "matrix" not in known):
         return known["projection"], "projection"
     return known["matrix"], "matrix"
+
+
+def _compare(matrix: NDArray[np.float64], single: dict[str, float], where: str) -> None:
+    """Hold single numbers against a camera matrix (3, 3), which takes the skew from them where it has none.
+
+    Raises:
+        InputError: they contradict it.
+    """
+    for name, value in single.items():
+        if name == "skew" and matrix[PLACES[name]] == 0:
+            matrix[PLACES[name]] = value
+        elif abs(matrix[PLACES[name]] - value) > SAME_PIXELS:
+            raise InputError(
+                f"{where}: '{name}' is {value:g}, but {matrix[PLACES[name]]:g} in the camera matrix; keep the one that "
+                "is right."
+            )
 
 
 def _matrix(fields: Fields, name: str, where: str) -> NDArray[np.float64]:
@@ -216,6 +231,13 @@ def _lens(fields: Fields, skew: float, where: str) -> Lens | None:
     """The lens, None where it changes nothing."""
     if "distortion" in fields:
         coefficients = tuple(numbers(fields["distortion"], where, "distortion_coefficients").tolist())
+        for place, name in enumerate(RADIAL):
+            listed = coefficients[place] if place < len(coefficients) else 0.0
+            if name in fields and abs(number(fields, name, where) - listed) > SAME_COEFFICIENT:
+                raise InputError(
+                    f"{where}: '{name}' is {fields[name]:g}, but {listed:g} in the list of distortion coefficients; "
+                    "keep the one that is right."
+                )
     else:
         coefficients = tuple(number(fields, k, where) if k in fields else 0.0 for k in RADIAL)
     if not any(abs(c) > NEGLIGIBLE for c in coefficients):

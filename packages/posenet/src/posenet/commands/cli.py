@@ -1,4 +1,4 @@
-"""`posenet fit`, `predict`, `info`, `figures`, `export`, `compact`."""
+"""`posenet fit`, `predict`, `check`, `adapt`, `info`, `figures`, `export`, `compact`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import click
 from evalkit.commands.group import Commands
 from evalkit.commands.image_options import image_options, opened
 from evalkit.errors import InputError
+from posenet.commands.adapt_command import adapt
+from posenet.commands.check_command import check
 from posenet.commands.log import show_log
 from posenet.commands.next_steps import after_fit, missing_model
 from posenet.config import OPTIMIZERS, PRECISIONS, PRESETS, SCHEDULES, TASKS, Config, TrainConfig, preset, with_options
@@ -21,6 +23,10 @@ from posenet.config import OPTIMIZERS, PRECISIONS, PRESETS, SCHEDULES, TASKS, Co
 @click.version_option(package_name="binpose-posenet")
 def main() -> None:
     """Train on shards and predict the 6D poses of objects in crowds."""
+
+
+main.add_command(check)
+main.add_command(adapt)
 
 
 @main.command()

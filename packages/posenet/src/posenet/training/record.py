@@ -7,6 +7,7 @@ from typing import Any
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.scoring.rules import at_least
 from posenet.runs.provenance import data_hash, git_version, software_versions
+from posenet.training.data_statistics import data_statistics
 from posenet.training.fit_options import FitOptions
 from posenet.training.validation import SHARE
 
@@ -28,6 +29,7 @@ def training_record(
         "validation_images": validation_images,
         "protocol": f"Sym, Siléane protocol, {at_least(0.5, SHARE)}, scenes held out of the training shards",
         "data_sha256": data_hash(dataset),
+        "data": data_statistics(dataset),
         "command": options.command,
         "git": git_version(),
         "software": software_versions(),
