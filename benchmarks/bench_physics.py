@@ -90,7 +90,7 @@ def measure_scene(job: Job, number: int, piles: Piles) -> None:
     piles.moved.append(1e3 * motion_afterwards(job, number, pile, job.config.physics))
     piles.overlap.append(1e3 * penetrations(hulls, pile))
     piles.in_floor.append(1e3 * below_floor(hulls, pile))
-    piles.visibility += [view.instances.visibility.astype(float) for view in SceneRenderer(job).views(scene)]
+    piles.visibility += [view.instances.visibility("geometric") for view in SceneRenderer(job).views(scene)]
     piles.tilt.append(np.degrees(np.arccos(np.clip(pile[:, 2, 2], -1, 1))))
     piles.height.append(1e3 * float(job.model.centers(pile)[:, 2].mean()))
 

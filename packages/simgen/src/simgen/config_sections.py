@@ -134,9 +134,9 @@ class PhysicsConfig:
     rolling_friction: float = 1e-3  # or round things roll for ever
     linear_damping: float = 0.5  # share of the speed lost in a second
     angular_damping: float = 0.9
-    quiet_window: float = 0.5  # seconds without motion; two quick looks miss 5 mm of late sliding
-    quiet_motion: float = 4e-4  # meters, of any instance's center or ends of axes
-    max_seconds: float = 8.0  # after the last landing; what moves yet is dropped again
+    quiet_window: float = 0.3  # seconds without motion; two quick looks miss 5 mm of late sliding
+    quiet_motion: float = 2.5e-4  # meters, of any instance's center or ends of axes
+    max_seconds: float = 4.0  # after the last landing; what moves yet is dropped again
     max_attempts: int = 10
 
     def __post_init__(self) -> None:

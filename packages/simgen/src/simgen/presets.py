@@ -97,6 +97,7 @@ def rapier() -> PhysicsConfig:
         contact_frequency=100.0,
         contact_damping_ratio=5.0,
         rolling_friction=0.0,
+        quiet_window=0.5,
         quiet_motion=4e-3,
     )
 

@@ -15,6 +15,7 @@ from simgen.physics.bullet import pybullet
 from simgen.physics.world import WALL_THICKNESS, World
 
 Array = NDArray[np.float64]
+MASS = 1.0  # of an instance
 
 
 class BulletWorld(World):
@@ -36,9 +37,29 @@ class BulletWorld(World):
     def drop(self, centers: Array, quaternions: Array) -> None:
         shape = self._compound_of_hulls()
         for center, quaternion in zip(centers, quaternions, strict=True):
-            self._instances.append(self._add_body(1.0, shape, center, quaternion))
+            self._instances.append(self._add_body(MASS, shape, center, quaternion))
+        self._held = np.zeros(len(self._instances), bool)
+
+    def hold(self, still: NDArray[np.bool_]) -> None:
+        for index in np.flatnonzero(still != self._held):
+            held, body = bool(still[index]), self._instances[index]
+            pybullet.resetBaseVelocity(body, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], physicsClientId=self._client)
+            pybullet.changeDynamics(
+                body,
+                -1,
+                mass=0.0 if held else MASS,  # of no mass is what stands still; two of them are not tested for contact
+                activationState=pybullet.ACTIVATION_STATE_SLEEP if held else pybullet.ACTIVATION_STATE_WAKE_UP,
+                physicsClientId=self._client,
+            )
+        self._held = still.copy()
+
+    def touching(self) -> NDArray[np.int64]:
+        points = pybullet.getContactPoints(physicsClientId=self._client)
+        pairs = np.array([point[1:3] for point in points], np.int64).reshape(-1, 2) - self._instances[0]
+        return pairs[((pairs >= 0) & (pairs < len(self._instances))).all(1)]  # bodies are numbered as they are added
 
     def put(self, index: int, center: Array, quaternion: Array) -> None:
+        self.hold(self._held & (np.arange(len(self._held)) != index))
         body = self._instances[index]
         pybullet.resetBasePositionAndOrientation(
             body, center.tolist(), quaternion.tolist(), physicsClientId=self._client

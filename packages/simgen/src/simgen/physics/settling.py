@@ -11,6 +11,7 @@ from simgen.physics.world import World
 
 Array = NDArray[np.float64]
 LOOKS_PER_WINDOW = 5
+SUNK = 0.01  # object diameters; a thin instance may be driven that deep into the floor, and stay there
 CLEARANCE = 1.05  # radii between the center of an instance that is put back and what it may land on
 DRAWS = 8  # of where to put an instance back, the lowest of which counts: hollows fill before peaks grow
 
@@ -18,13 +19,15 @@ DRAWS = 8  # of where to put an instance back, the lowest of which counts: hollo
 def settle(world: World, rng: np.random.Generator) -> bool:
     """Simulate until no instance has moved throughout the quiet window.
 
-    An instance that leaves the bin, or has not come to rest in time, is dropped again from above the heap; the others
-    stay where they are. `rng` says from where.
+    Rest is judged per instance: one that rests among resting ones is held still while the others settle. An instance
+    that leaves the bin, sinks into its floor, or has not come to rest in time, is dropped again from above the heap;
+    the others stay where they are. `rng` says from where.
 
     Returns:
         False if instances would have to be put back more often than there are instances: the bin holds no such heap.
     """
     config = world.config
+    world.hold(np.zeros(len(world.marks()), bool))
     interval = config.quiet_window / LOOKS_PER_WINDOW
     recent = deque([world.marks()], maxlen=LOOKS_PER_WINDOW)
     returns = len(recent[0])
@@ -35,20 +38,33 @@ def settle(world: World, rng: np.random.Generator) -> bool:
         now += interval
         marks = world.marks()
         restless = np.abs(np.stack(recent) - marks).max((0, 2, 3)) >= config.quiet_motion
-        away = _is_away(world, marks[:, 0])
-        if now > late:
-            away |= restless
-        if away.any():
-            returns -= int(away.sum())
+        if len(recent) < LOOKS_PER_WINDOW:
+            restless[:] = True
+        at_rest = not restless.any()
+        misplaced = _is_away(world, marks[:, 0]) | (restless & (now > late))
+        if at_rest:
+            misplaced |= world.lowest() < -SUNK * config.simulated_diameter
+        if misplaced.any():
+            returns -= int(misplaced.sum())
             if returns < 0:
                 return False
-            height = _put_back(world, np.flatnonzero(away), marks[:, 0], rng)
+            height = _put_back(world, np.flatnonzero(misplaced), marks[:, 0], rng)
             marks = world.marks()
             landed = now + _fall_seconds(world, height)
             late = landed + config.max_seconds
-        elif len(recent) == LOOKS_PER_WINDOW and not restless.any():
+        elif at_rest:
             return True
+        else:
+            world.hold(_undisturbed(world, restless))
         recent.append(marks)
+
+
+def _undisturbed(world: World, restless: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which instances (n,) are at rest and touch none that is not."""
+    disturbed, pairs = restless.copy(), world.touching()
+    for one, other in (pairs.T, pairs.T[::-1]):
+        disturbed[one[restless[other]]] = True
+    return ~disturbed
 
 
 def _fall_seconds(world: World, height: float) -> float:

@@ -50,6 +50,14 @@ class World(ABC):
     def state(self) -> tuple[Array, Array]:
         """Centers of mass (n, 3) and unit quaternions xyzw (n, 4) of all instances."""
 
+    def hold(self, still: NDArray[np.bool_]) -> None:
+        """Do not compute the motion of those instances (n,) until they are let go; nothing where that saves nothing."""
+        return None
+
+    def touching(self) -> NDArray[np.int64]:
+        """Pairs of instances (k, 2) that touch; none of an engine that holds nothing."""
+        return np.zeros((0, 2), np.int64)
+
     @abstractmethod
     def _remove_walls(self) -> None: ...
 
@@ -75,6 +83,12 @@ class World(ABC):
         centers, quaternions = self.state()
         ends = centers[:, None] + self.body.radius * np.swapaxes(poses.from_quaternion_xyzw(quaternions), -1, -2)
         return np.concatenate([centers[:, None], ends], 1)
+
+    def lowest(self) -> Array:
+        """Height of each instance's lowest point (n,)."""
+        centers, quaternions = self.state()
+        down = poses.from_quaternion_xyzw(quaternions)[:, 2]
+        return np.asarray(poses.compose(down, np.concatenate(self.body.hulls).T).min(1) + centers[:, 2])
 
     def world_from_obj(self) -> Array:
         """Poses (n, 4, 4) of the instances, in meters."""
