@@ -36,8 +36,8 @@ from evalkit.reports.report import figures_folder, save_report
 
 CAMERA = Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
 CHARTS = {
-    "precision_recall", "scores", "ap_by_threshold", "ap_by_criterion", "rotation_errors", "translation_errors",
-    "ap_by_visibility",
+    "precision_recall", "scores", "reliability", "ap_by_threshold", "ap_by_criterion", "rotation_errors",
+    "translation_errors", "ap_by_visibility",
 }  # fmt: skip
 SECTIONS = ("figures", "images", "published", "protocol")
 VOID = {"meta", "img", "br"}

@@ -11,10 +11,12 @@ from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.refinement import refiner as refine
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, FOOTPRINT, depth_evidence, explained_before
-from posenet.refinement.refiner import Refiner
+from posenet.refinement.judge import FORMAT, Judge, Regression, probability
+from posenet.refinement.refiner import Fits, Fitting, Refiner
 
 CAMERA = Camera(160, 120, 180.0, 180.0, 79.5, 59.5)
 FLOOR = 0.62
+CREDULOUS = Judge(FORMAT, Regression(2.0, {}), Regression(2.0, {}))
 
 
 def wedge() -> ObjectModel:
@@ -102,10 +104,18 @@ def test_the_image_tells_right_poses_from_wrong_ones(scene: tuple[ObjectModel, n
     rng = np.random.default_rng(1)
     wrong = poses.from_rotation_translation(poses.random_rotations(rng, 40), pose[:3, 3])
     wrong = wrong[distance(model, wrong, pose[None]) > model.threshold]
-    agreement, violation = evidence(Refiner(model), np.concatenate([pose[None], wrong]), depth)
-    sureness = refine.confidence(agreement - violation)
+    some = np.concatenate([pose[None], wrong])
+    fitting, fits = unfitted(Refiner(model), some, depth)
+    sureness = probability(fitting.refiner.judge.alone.logit(fitting.judged(fits, fits).alone))
     assert len(wrong) > 30
-    assert sureness[0] > 0.95 and sureness[1:].max() < 0.5
+    assert sureness[0] > 0.95 and sureness[1:].max() < 0.8 and (sureness[1:] < 0.5).mean() > 0.8
+
+
+def unfitted(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> tuple[Fitting, Fits]:
+    """Poses (n, 4, 4) as if ICP had ended there, each from a detection of its own."""
+    fitting = Fitting(refiner, depth, CAMERA, some, np.ones(len(some)), np.arange(len(some)))
+    agreement, violation = evidence(refiner, some, depth)
+    return fitting, Fits(some, np.arange(len(some)), agreement, violation, agreement - violation / 2 + 0.3)
 
 
 def evidence(refiner: Refiner, cam_from_obj: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,8 +180,6 @@ def test_turns_keep_the_center_and_go_to_all_sides(scene: tuple[ObjectModel, np.
     middle = poses.apply(turned, center[None])[:, 0]
     np.testing.assert_allclose(middle[:8], np.tile(poses.apply(pose, center[None]), (8, 1)), atol=1e-12)
     np.testing.assert_allclose(poses.rotation_angle(pose[:3, :3], turned[:8, :3, :3]), 0.3, atol=1e-9)
-    assert np.linalg.norm(refine.evenly_spread(8).mean(0)) < 0.05
-    assert (np.linalg.norm(refine.evenly_spread(8), axis=1) - 1 < 1e-12).all()
 
 
 def plain_evidence(
@@ -255,14 +263,24 @@ def test_what_is_explained_already_is_that_of_a_plain_count(row: tuple[ObjectMod
 
 def test_a_pixel_speaks_for_one_pose_only(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
     model, some, depth = row
-    fitting = refine._Fitting(Refiner(model), depth, CAMERA, some, np.ones(3))
-    fits = fitting.fitted(some, np.arange(3))._replace(cam_from_obj=some)
-    kept = fitting.verified(fits)
-    assert kept.evidence[0] == fits.evidence.max()
-    evidence = dict(zip(kept.hypothesis.tolist(), kept.evidence, strict=True))
-    assert evidence.keys() >= {0, 1}
-    assert abs(evidence[0] - fits.evidence[0]) < 0.02 and abs(evidence[1] - fits.evidence[1]) < 0.02
-    assert evidence.get(2, 0.0) < fits.evidence[2] - 0.05
+    fitting, fits = unfitted(Refiner(model), some, depth)
+    kept = fitting.verified(fitting.judged(fits, fits))
+    score = dict(zip(kept.hypothesis.tolist(), kept.score, strict=True))
+    assert score.keys() >= {0, 1}
+    assert min(score[0], score[1]) > 0.8 and score.get(2, 0.0) < 0.3
+
+
+def test_two_poses_inside_each_other_are_never_both_believed(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+    model, some, depth = row
+    some = np.concatenate([some, disturbed(some[0], np.random.default_rng(4), 30, 0.03, 0.4)])
+    fitting, fits = unfitted(Refiner(model, CREDULOUS), some, depth)
+    finalists = fitting.judged(fits, fits)
+    kept = fitting.verified(finalists)
+    score = np.zeros(len(some))
+    score[kept.hypothesis] = kept.score
+    touching = finalists.pairs[finalists.deep > 1.0]
+    assert len(touching) > 50 and (kept.score > 0.5).sum() >= 2
+    assert not (score[touching] > 0.5).all(1).any()
 
 
 def test_the_best_of_each_group_are_those_of_a_plain_loop() -> None:

@@ -17,6 +17,7 @@ from evalkit.drawing.evaluation_picture import Confident, frames_by_id, spread, 
 from evalkit.drawing.page import require_page_name
 from evalkit.errors import InputError
 from evalkit.reports import charts
+from evalkit.reports.reliability_chart import reliability
 from evalkit.reports.report_page import Content, Overlay, render
 from evalkit.scoring import breakdown
 from evalkit.scoring.bootstrap import intervals, scene_numbers
@@ -84,6 +85,7 @@ def _charts(predictions: Predictions, truth: GroundTruth, result: Result, confid
     return [
         charts.precision_recall(result),
         charts.score_histogram(result, confident.score),
+        reliability(result),
         charts.ap_by_threshold(breakdown.by_threshold(subject, settings), result),
         charts.ap_by_criterion(breakdown.by_criterion(subject, settings)),
         charts.rotation_errors(errors),

@@ -3,8 +3,10 @@
 A network's rotation is often off by more than ICP can mend, most of all where little of an instance is seen. So the
 hypotheses that the image speaks for most (:mod:`posenet.refinement.depth_evidence`), two of a detection, are also
 started from turns of them to all sides; ICP is cheap. All poses of an image are fitted together. Of all fits of a
-detection the best is kept, fitted once more from turns half as large, and then the set is verified, best first: a depth
-pixel speaks for one pose only (after Aldoma et al. 2012, who do so for classical pipelines).
+detection the best is kept and fitted once more from turns half as large. A judge that learned from simulated piles
+says how likely each is right (:mod:`posenet.refinement.judge`), and the set is verified, best first: a depth pixel
+speaks for one pose only (after Aldoma et al. 2012, who do so for classical pipelines), and of two that would be inside
+each other at most one is believed.
 """
 
 from __future__ import annotations
@@ -18,11 +20,17 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
+from evalkit.objects.depth_views import sphere_directions
 from evalkit.objects.model import ObjectModel, sample_surface_with_normals, surface_moments
 from evalkit.scoring.distances import Sym
 from posenet.network.depth_input import surface_normals
+from posenet.refinement.appearance import appearance
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
 from posenet.refinement.icp import icp
+from posenet.refinement.judge import Judge, probability, shipped_judge
+from posenet.refinement.neighbors import neighbor_columns, without_impossible_pairs
+from posenet.refinement.pose_evidence import FARTHEST, as_columns, company, search_columns
+from posenet.refinement.solid import Solid, close_pairs
 
 Array = NDArray[np.float64]
 POINTS = 500
@@ -31,10 +39,11 @@ ITERATIONS = 12
 REACH = (0.12, 0.05)  # diameters: farthest point that ICP draws to, first and last iteration
 SEARCHED = 2  # hypotheses of a detection that are turned: those that the image speaks for most after one fit
 SEARCH = ((8, 25.0), (8, 12.0))  # rounds: turns to so many sides, by so many degrees; the second of one each
+# While searching, agreement counts 1:
 VIOLATION_WEIGHT = 0.5
 PRIOR_WEIGHT = 0.3  # of a hypothesis's own score
 PRIOR_REACH = 1.5  # of the object's threshold: how far from the hypothesis its score still speaks for a fit
-HALF_SURE, STEEPNESS = 0.25, 16.0  # the evidence at which half the poses are right, and how fast that changes
+JUDGED_POINTS = 1500  # of the surface, when fits are judged; more than searching can afford
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,35 +57,36 @@ class RefinedPoses:
     violation: Array  # (m,) share that the camera looks through
 
 
-class _Fits(NamedTuple):
+class Fits(NamedTuple):
     """n fitted poses on their way: which hypothesis each began as, and what the image says of it."""
 
     cam_from_obj: Array
     hypothesis: NDArray[np.int64]
     agreement: Array
     violation: Array
-    evidence: Array
+    evidence: Array  # how the search ranks them
 
-    def select(self, rows: NDArray[np.int64]) -> _Fits:
-        return _Fits._make(part[rows] for part in self)
+    def select(self, rows: NDArray[np.int64]) -> Fits:
+        return Fits._make(part[rows] for part in self)
 
-    def joined(self, other: _Fits) -> _Fits:
-        return _Fits._make(np.concatenate(parts) for parts in zip(self, other, strict=True))
+    def joined(self, other: Fits) -> Fits:
+        return Fits._make(np.concatenate(parts) for parts in zip(self, other, strict=True))
 
 
 class Refiner:
-    """Refines poses of one object.
+    """Refines poses of one object, and has them judged: by the judge that comes along, unless another is given.
 
     Raises:
         ValueError: the model has no mesh.
     """
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(self, model: ObjectModel, judge: Judge | None = None) -> None:
         if model.vertices is None or model.faces is None:
             raise ValueError("refinement needs the object's mesh")
-        self.model = model
-        self.distance = Sym(model)
+        self.model, self.judge = model, judge or shipped_judge()
+        self.distance, self.solid = Sym(model), Solid(model)
         self.points, self.normals = sample_surface_with_normals(model.vertices, model.faces, POINTS)
+        self.judged = sample_surface_with_normals(model.vertices, model.faces, JUDGED_POINTS)
         self.spacing = float(np.sqrt(surface_moments(model.vertices, model.faces)[0] / POINTS))
 
     def refine(
@@ -93,33 +103,50 @@ class Refiner:
         """
         if len(cam_from_obj) == 0:
             return RefinedPoses(np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
-        hypotheses = np.asarray(cam_from_obj, float)
-        fitting = _Fitting(self, depth, camera, hypotheses, score)
         group = np.arange(len(score)) if detection is None else np.asarray(detection)
-        fits = fitting.fitted(hypotheses, np.arange(len(score)))
-        fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis], SEARCHED))
-        for sides, degrees in SEARCH:
-            turned = turns(fits.cam_from_obj, self.model.centroid, sides, np.radians(degrees))
-            fits = fits.joined(fitting.fitted(turned, np.repeat(fits.hypothesis, sides)))
-            fits = fits.select(_best_of_each(fits.evidence, group[fits.hypothesis], 1))
-        fits = fitting.verified(fits)
-        return RefinedPoses(
-            fits.cam_from_obj, fits.hypothesis, confidence(fits.evidence), fits.agreement, fits.violation
-        )
+        fitting = Fitting(self, depth, camera, np.asarray(cam_from_obj, float), score, group)
+        return fitting.verified(fitting.judged(*fitting.search()))
 
 
-class _Fitting:
+class Finalists(NamedTuple):
+    """The best fit of each of m detections, and all that is known of them."""
+
+    fits: Fits
+    alone: dict[str, Array]  # by name, columns (m,) of what speaks for each alone
+    pairs: NDArray[np.int64]  # (p, 2) of fits so near that they may touch
+    deep: Array  # (p,) tolerances by which they interpenetrate
+
+
+class Fitting:
     """One image, ready for poses to be fitted to it."""
 
     def __init__(
-        self, refiner: Refiner, depth: NDArray[np.float32], camera: Camera, hypotheses: Array, score: Array
+        self,
+        refiner: Refiner,
+        depth: NDArray[np.float32],
+        camera: Camera,
+        hypotheses: Array,
+        score: Array,
+        group: NDArray[np.int64],
     ) -> None:
         self.refiner, self.depth = refiner, depth
-        self.hypotheses, self.score = hypotheses, np.asarray(score, float)
+        self.hypotheses, self.score, self.group = hypotheses, np.asarray(score, float), group
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.normals = observed_normals(depth, self.intrinsics)
+        self.tolerance = TOLERANCE * refiner.model.diameter
 
-    def fitted(self, cam_from_obj: Array, hypothesis: NDArray[np.int64]) -> _Fits:
+    def search(self) -> tuple[Fits, Fits]:
+        """The best fit of each detection, and all that were tried."""
+        fits = tried = self.fitted(self.hypotheses, np.arange(len(self.hypotheses)))
+        fits = fits.select(_best_of_each(fits.evidence, self.group[fits.hypothesis], SEARCHED))
+        for sides, degrees in SEARCH:
+            turned = turns(fits.cam_from_obj, self.refiner.model.centroid, sides, np.radians(degrees))
+            more = self.fitted(turned, np.repeat(fits.hypothesis, sides))
+            fits, tried = fits.joined(more), tried.joined(more)
+            fits = fits.select(_best_of_each(fits.evidence, self.group[fits.hypothesis], 1))
+        return fits, tried
+
+    def fitted(self, cam_from_obj: Array, hypothesis: NDArray[np.int64]) -> Fits:
         """Poses (n, 4, 4) after ICP, and what the image says of them."""
         model, points, normals = self.refiner.model, self.refiner.points, self.refiner.normals
         moved, center, d = np.array(cam_from_obj), np.ascontiguousarray(model.centroid), model.diameter
@@ -127,44 +154,71 @@ class _Fitting:
         icp(moved, points - center, normals, center, self.depth, self.normals, self.intrinsics, reach, d)
         moved[:, :3, :3] = poses.nearest_rotation(moved[:, :3, :3])
         agreement, violation = depth_evidence(
-            moved, points, normals, self.depth, self.normals, self.intrinsics, TOLERANCE * d
+            moved, points, normals, self.depth, self.normals, self.intrinsics, self.tolerance
         )
         strayed = self.refiner.distance(moved, self.hypotheses[hypothesis]) / (PRIOR_REACH * model.threshold)
         prior = self.score[hypothesis] * np.exp(-0.5 * strayed**2)
         evidence = agreement - VIOLATION_WEIGHT * violation + PRIOR_WEIGHT * prior
-        return _Fits(moved, hypothesis, agreement, violation, evidence)
+        return Fits(moved, hypothesis, agreement, violation, evidence)
 
-    def verified(self, fits: _Fits) -> _Fits:
-        """Best first, without duplicates; agreement with what better poses explain already speaks for none."""
-        order = np.argsort(-fits.evidence, kind="stable")
-        points, normals, tolerance = self.refiner.points, self.refiner.normals, TOLERANCE * self.refiner.model.diameter
-        share = explained_before(
-            fits.cam_from_obj, order, points, normals, self.depth, self.intrinsics, tolerance, self.refiner.spacing
-        )
-        fits = fits._replace(evidence=fits.evidence - share * fits.agreement)
-        order = np.argsort(-fits.evidence, kind="stable")
-        return fits.select(order[share[order] <= ALREADY_EXPLAINED])
+    def judged(self, fits: Fits, tried: Fits) -> Finalists:
+        """What there is to say of the best fits, in view of all that were tried."""
+        refiner, model = self.refiner, self.refiner.model
+        shown = appearance(
+            fits.cam_from_obj, *refiner.judged, np.ascontiguousarray(model.centroid), model.diameter,
+            self.depth, self.normals, self.intrinsics, self.tolerance,
+        )  # fmt: skip
+        detection, of = np.unique(self.group[fits.hypothesis], return_inverse=True)
+        row = np.argsort(of)[np.searchsorted(detection, self.group[tried.hypothesis])]
+        pairs = close_pairs(model.centers(fits.cam_from_obj), model.diameter)
+        apart = self._apart(fits.cam_from_obj[pairs[:, 0]], fits.cam_from_obj[pairs[:, 1]])
+        strayed = self._apart(fits.cam_from_obj, self.hypotheses[fits.hypothesis])
+        alone = {
+            **as_columns(shown),
+            **search_columns(fits.cam_from_obj, fits.evidence, tried.cam_from_obj, tried.evidence, row, self._apart),
+            "prior": self.score[fits.hypothesis],
+            "strayed": np.minimum(strayed, FARTHEST),
+            "company": company(len(fits.evidence), pairs, apart),
+            "evidence": fits.evidence,
+        }
+        deep = refiner.solid.interpenetration(fits.cam_from_obj, pairs, refiner.points) / self.tolerance
+        return Finalists(fits, alone, pairs, deep)
+
+    def verified(self, finalists: Finalists) -> RefinedPoses:
+        """Best first, without duplicates; of two that are inside each other one at most is believed."""
+        fits, alone, pairs, deep = finalists
+        logit = self.refiner.judge.alone.logit(alone)
+        share = self.explained(fits.cam_from_obj, logit)
+        kept = share <= ALREADY_EXPLAINED
+        among = neighbor_columns(logit, alone["agreement"], fits.evidence, share, kept, pairs, deep)
+        score = np.where(kept, probability(self.refiner.judge.among.logit(among)), 0.0)
+        score = without_impossible_pairs(score, pairs[deep > 1.0])
+        order = np.argsort(-score, kind="stable")
+        rows = order[kept[order]]
+        fits = fits.select(rows)
+        return RefinedPoses(fits.cam_from_obj, fits.hypothesis, score[rows], fits.agreement, fits.violation)
+
+    def explained(self, cam_from_obj: Array, logit: Array) -> Array:
+        """The share (n,) of each pose's support that better ones explain."""
+        refiner, order = self.refiner, np.argsort(-logit, kind="stable")
+        return np.asarray(
+            explained_before(
+                cam_from_obj, order, refiner.points, refiner.normals, self.depth, self.intrinsics, self.tolerance,
+                refiner.spacing,
+            )
+        )  # fmt: skip
+
+    def _apart(self, a: Array, b: Array) -> Array:
+        """Distances (n,) of poses in thresholds."""
+        return self.refiner.distance(a, b) / self.refiner.model.threshold
 
 
 def turns(cam_from_obj: Array, center: Array, sides: int, angle: float) -> Array:
     """Poses (n * sides, 4, 4): each of n turned about its `center` (3,) by `angle` radians, to evenly spread sides."""
-    turn = poses.from_axis_angle(evenly_spread(sides), np.full(sides, angle))
+    turn = poses.from_axis_angle(sphere_directions(sides), np.full(sides, angle))
     rotation = turn @ cam_from_obj[:, None, :3, :3]
     middle = poses.apply(cam_from_obj, center[None])
     return poses.from_rotation_translation(rotation, middle - rotation @ center).reshape(-1, 4, 4)
-
-
-def evenly_spread(count: int) -> Array:
-    """Directions (count, 3) along a Fibonacci spiral over the sphere."""
-    number = np.arange(count) + 0.5
-    z, angle = 1.0 - 2.0 * number / count, np.pi * (1.0 + 5.0**0.5) * number
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], -1)
-
-
-def confidence(evidence: Array) -> Array:
-    """Evidence (n,) as a score (n,) in [0, 1]: about the share of such poses that are right."""
-    return np.asarray(1.0 / (1.0 + np.exp(-STEEPNESS * (evidence - HALF_SURE))))
 
 
 def observed_normals(depth: NDArray[np.float32], intrinsics: Array) -> NDArray[np.float32]:
