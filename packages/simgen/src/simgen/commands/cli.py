@@ -8,6 +8,7 @@ from evalkit.commands.group import Commands
 from simgen.commands.build_commands import build_command, render_command, simulate_command
 from simgen.commands.export_commands import export_command
 from simgen.commands.inspect_commands import object_command, preview_command, verify_command, view_command
+from simgen.commands.sensor_commands import sensor_group
 
 
 @click.group(cls=Commands)
@@ -22,6 +23,7 @@ cli.add_command(render_command)
 cli.add_command(export_command)
 cli.add_command(object_command)
 cli.add_command(preview_command)
+cli.add_command(sensor_group)
 cli.add_command(verify_command)
 cli.add_command(view_command)
 
