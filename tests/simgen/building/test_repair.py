@@ -120,7 +120,7 @@ def test_a_folder_without_readable_shards_and_a_single_file_are_refused(copy: Pa
     assert result.exit_code == 2 and "no shard is left to read the object from" in result.stderr
 
 
-def test_any_flipped_bit_is_a_problem_told_and_no_crash(copy: Path) -> None:
+def test_any_flipped_bit_is_reported_as_a_problem_and_crashes_nothing(copy: Path) -> None:
     path, rng = copy / shard_name(1), np.random.default_rng(0)
     sound = path.read_bytes()
     for number in range(24):

@@ -35,7 +35,7 @@ from evalkit.atomic import atomic_path
 from evalkit.datasets.pose_rows import Layout, Rows, checked_poses, first_fault, row_dicts, to_arrays
 from evalkit.datasets.scene import Share
 from evalkit.datasets.visibility_fields import FIELDS, are_shares, other_share, read_share, share_fields
-from evalkit.errors import InputError
+from evalkit.errors import InputError, shortened
 from evalkit.geometry.camera import Camera
 from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel
@@ -200,7 +200,7 @@ def _read(path: Path | str, layout: Layout) -> dict[str, Any]:
     document = load_json(path, compact)
     if not isinstance(document, dict) or document.get("format") != layout.format:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise InputError(f"{path}: 'format' must be \"{layout.format}\", found {_shorten(found)}.")
+        raise InputError(f"{path}: 'format' must be \"{layout.format}\", found {shortened(found)}.")
     return document
 
 
@@ -261,7 +261,7 @@ def _time(path: Path | str, entry: dict[str, Any]) -> float | None:
 def _frame(path: Path | str, document: dict[str, Any]) -> str:
     frame = document.get("frame", "camera")
     if frame not in FRAMES:
-        raise InputError(f'{path}: \'frame\' must be "camera" or "world", found {_shorten(frame)}.')
+        raise InputError(f'{path}: \'frame\' must be "camera" or "world", found {shortened(frame)}.')
     return str(frame)
 
 
@@ -285,8 +285,3 @@ def _write(path: Path | str, head: dict[str, Any], images: Iterable[dict[str, An
             file.write(separator + json.dumps(image, allow_nan=False))
             separator = ",\n"
         file.write("\n]}\n")
-
-
-def _shorten(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:40] + "…"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.scene import Instances, View
+from evalkit.datasets.shard_damage import damage_named
 from evalkit.datasets.shard_format import (
     COUNTED_FIELDS,
     INSTANCE_FIELDS,
@@ -38,24 +38,14 @@ class ShardReader:
             raise InputError(
                 f"{path}: no such shard; check the path or run 'simgen build' again to complete the folder."
             )
-        try:
+        with damage_named(path, "not a readable HDF5 file (truncated or damaged)"):
             self._file = h5py.File(self.path, "r")
-        except OSError:
-            raise InputError(
-                f"{path}: not a readable HDF5 file (truncated or damaged); delete it and run 'simgen build' again."
-            ) from None
         try:
-            self.header = read_header(self._file, self.path, SCHEMA, OLD_SCHEMA)
-            self.schema = str(self._file.attrs["schema"])
-            self._labels = {name: self._file[stored][()] for name, stored in instance_names(self.schema).items()}
-            self._offset = self._file["frame_offset"][()]
-            self._scene, self._view = self._file["scene_index"][()], self._file["view_index"][()]
-            self._cam_from_world = self._file["cam_from_world"][()]
-        except (OSError, KeyError, json.JSONDecodeError) as error:
+            with damage_named(path):
+                self._read_labels()
+        except InputError:
             self._file.close()
-            raise InputError(
-                f"{path}: damaged or incomplete ({error}); delete it and run 'simgen build' again."
-            ) from None
+            raise
 
     def __len__(self) -> int:
         return len(self._scene)
@@ -109,6 +99,15 @@ class ShardReader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _read_labels(self) -> None:
+        """All but the pixels, which are read when they are asked for."""
+        self.header = read_header(self._file, self.path, SCHEMA, OLD_SCHEMA)
+        self.schema = str(self._file.attrs["schema"])
+        self._labels = {name: self._file[stored][()] for name, stored in instance_names(self.schema).items()}
+        self._offset = self._file["frame_offset"][()]
+        self._scene, self._view = self._file["scene_index"][()], self._file["view_index"][()]
+        self._cam_from_world = self._file["cam_from_world"][()]
+
     def _make_view(self, index: int, depth: NDArray[np.uint16], ids: NDArray[np.uint16]) -> View:
         return View(
             camera=self.header.camera,
@@ -130,12 +129,8 @@ class ShardReader:
         return Instances(**found)
 
     def _pixels(self, name: str, index: int) -> NDArray[np.uint16]:
-        try:
+        with damage_named(self.path, f"frame {index} is damaged"):
             return np.asarray(self._file[name][index])
-        except OSError:
-            raise InputError(
-                f"{self.path}: frame {index} is damaged; delete the file and run 'simgen build' again."
-            ) from None
 
 
 def instance_names(schema: str) -> dict[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.documents import GroundTruth, Predictions
-from evalkit.errors import InputError
+from evalkit.errors import InputError, shortened
 from evalkit.objects.model import ObjectModel
 
 BOP_NUMBER = re.compile(r"obj_\d+")
@@ -25,7 +25,8 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
     where = f"{predictions.source}: "
     if _are_of_different_objects(predictions.object_name, truth.object.name):
         raise InputError(
-            f"{where}its object is '{predictions.object_name}' but {truth.source} is about '{truth.object.name}'; "
+            f"{where}its object is {shortened(predictions.object_name)} but {truth.source} is about "
+            f"{shortened(truth.object.name)}; "
             "where they are one, give it one name: 'evalkit gt --object NAME', or 'simgen build --name NAME'."
         )
     diameter = predictions.object.get("diameter") if isinstance(predictions.object, dict) else None

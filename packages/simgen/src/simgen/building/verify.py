@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.datasets.shard_damage import damage_named
 from evalkit.datasets.shard_folder import DATASET_FILE, list_shards, read_dataset_file
 from evalkit.datasets.shard_format import checksum_problem
 from evalkit.datasets.shard_reader import ShardReader
@@ -142,12 +143,16 @@ def broken_structure(path: Path | str) -> Iterator[str]:
     """
     with ShardReader(path):  # raises where the file is no shard
         pass
-    with h5py.File(path, "r") as file:
-        offset = np.asarray(file["frame_offset"])
-        frames = len(file["scene_index"])
-        for name in (*PER_FRAME, *(("depth_ideal",) if "depth_ideal" in file else ())):
-            if len(file[name]) != frames:
-                yield f"{name} holds {len(file[name])} frames where there are {frames}."
-        rows = len(file["instance"])
-        if len(offset) != frames + 1 or offset[0] != 0 or offset[-1] != rows or (np.diff(offset) < 0).any():
-            yield f"frame_offset does not divide the {rows} labels among the {frames} frames."
+    with damage_named(path), h5py.File(path, "r") as file:
+        yield from _misfits(file)
+
+
+def _misfits(file: Any) -> Iterator[str]:
+    offset = np.asarray(file["frame_offset"])
+    frames = len(file["scene_index"])
+    for name in (*PER_FRAME, *(("depth_ideal",) if "depth_ideal" in file else ())):
+        if len(file[name]) != frames:
+            yield f"{name} holds {len(file[name])} frames where there are {frames}."
+    rows = len(file["instance"])
+    if len(offset) != frames + 1 or offset[0] != 0 or offset[-1] != rows or (np.diff(offset) < 0).any():
+        yield f"frame_offset does not divide the {rows} labels among the {frames} frames."
