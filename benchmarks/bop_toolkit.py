@@ -75,7 +75,8 @@ def simulate(folder: Path, seed: int, offset: float = 0.0) -> None:
             instances = heap(rng, offset)
             shown = OTHER_ID if (scene, image) == WITHOUT else OBJECT_ID
             gt[str(image)] = [row_of(pose) | {"obj_id": shown} for pose in instances]
-            info[str(image)] = [{"visib_fract": seen} for seen in visibilities(rng, len(instances))]
+            seen = visibilities(rng, len(instances))
+            info[str(image)] = [{"visib_fract": share if shown == OBJECT_ID else 0.0} for share in seen]
             estimates = guesses(rng, instances, 10 if (scene, image) == CROWDED else 2)
             lines += [line_of(scene, image, pose, score) for pose, score in zip(*estimates, strict=True)]
             targets.append({"scene_id": scene, "im_id": image})

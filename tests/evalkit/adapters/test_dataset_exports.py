@@ -9,6 +9,7 @@ import pytest
 
 from evalkit.adapters.bop import export as bop_export
 from evalkit.adapters.bop import object as bop_object
+from evalkit.adapters.bop.mesh_frame import read_origin
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.adapters.sileane import export as sileane_export
 from evalkit.geometry import poses
@@ -57,7 +58,9 @@ def assert_same_distances(back, model):
 
 def test_bop_keeps_the_symmetry_about_the_centroid(model, tmp_path):
     bop_export.write_dataset_files(tmp_path, model, CAMERA, 1e-4)
-    back, _ = bop_object.read_object(tmp_path, 1)
+    in_bop, _ = bop_object.read_object(tmp_path, 1)
+    np.testing.assert_allclose(in_bop.box_center, 0.0, atol=1e-12)
+    back = in_bop.with_origin(-read_origin(tmp_path / "models" / "models_info.json", 1))
     assert_same_distances(replace(back, lam=model.lam, inertial_from_obj=model.inertial_from_obj), model)
     np.testing.assert_allclose(back.centroid, model.centroid, atol=1e-6)
 

@@ -10,14 +10,16 @@ import cv2
 import numpy as np
 import pytest
 
-from evalkit import InputError
+from evalkit import InputError, PredictionImage, Predictions, average_precision
 from evalkit.adapters.bop import dataset as bop
+from evalkit.adapters.bop import results as bop_results
 from evalkit.adapters.bop.export import write_scene
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.adapters.sileane.export import write_view
 from evalkit.datasets.ground_truth import read_ground_truth
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.datasets.visibility_share import with_share
+from evalkit.geometry import poses
 from simgen.exports import foreign_formats as export
 from simgen.exports.foreign_formats import export_bop, export_sileane, open_whole
 
@@ -75,7 +77,7 @@ def assert_same_depth(images, dataset):
 
 
 def test_bop_keeps_poses_cameras_visibility_and_every_step_of_depth(bop_set, dataset, truth):
-    assert_same_truth(bop.read_ground_truth(bop_set / "test"), truth, bop_name)
+    assert_same_truth(bop.read_ground_truth(bop_set / "test", mesh_frame=True), truth, bop_name)
     assert_same_depth(bop.depth_images(bop_set / "test"), dataset)
 
 
@@ -85,7 +87,7 @@ def test_sileane_keeps_poses_cameras_visibility_and_every_step_of_depth(sileane_
 
 
 def test_both_keep_the_mesh_to_its_last_digit(bop_set, sileane_set, truth):
-    for model in (bop.read_ground_truth(bop_set / "test").object, sileane.read_object(sileane_set)):
+    for model in (bop.read_ground_truth(bop_set / "test", mesh_frame=True).object, sileane.read_object(sileane_set)):
         np.testing.assert_allclose(model.vertices, truth.object.vertices, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(model.faces, truth.object.faces)
 
@@ -102,22 +104,71 @@ def test_bops_masks_say_what_its_numbers_say(bop_set, dataset):
             assert (whole & (view.depth_raw > 0)).sum() == info["px_count_valid"]
             assert max(info["px_count_visib"], info["px_count_valid"]) <= info["px_count_all"]
             assert info["visib_fract"] == pytest.approx(info["px_count_visib"] / max(info["px_count_all"], 1), abs=1e-6)
+            if not seen.any():
+                assert info["bbox_obj"] == info["bbox_visib"] == [-1, -1, -1, -1]
+                continue
+            assert info["bbox_visib"] == box_of(seen)
             if whole.sum() == info["px_count_all"]:  # nothing of it lies beyond the frame
-                v, u = np.nonzero(whole)
-                box = [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
-                assert info["bbox_obj"] == box
-            if seen.any():
-                v, u = np.nonzero(seen)
-                assert info["bbox_visib"] == [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
-            else:
-                assert info["bbox_visib"] == [-1, -1, -1, -1]
+                assert info["bbox_obj"] == box_of(whole)
+
+
+def box_of(mask):
+    """x, y, width, height as bop_toolkit's calc_2d_bbox has them: a single pixel has a box of no size."""
+    v, u = np.nonzero(mask)
+    return [u.min(), v.min(), u.max() - u.min(), v.max() - v.min()]
+
+
+def test_bops_model_has_its_origin_at_the_center_of_its_box(bop_set, truth):
+    info = json.loads((bop_set / "models_eval" / "models_info.json").read_text())["1"]
+    for axis in "xyz":
+        assert info[f"min_{axis}"] == pytest.approx(-info[f"size_{axis}"] / 2, abs=1e-9)
+    np.testing.assert_allclose(np.array(info["origin_in_mesh"]) / 1000, truth.object.box_center, atol=1e-12)
+    moved = bop.read_ground_truth(bop_set / "test")
+    for image, known in zip(moved.images, truth.images, strict=True):  # each vertex is where it was
+        np.testing.assert_allclose(
+            poses.apply(image.cam_from_obj, moved.object.vertices),
+            poses.apply(known.cam_from_obj, truth.object.vertices),
+            atol=1e-9,
+        )
+
+
+def test_results_in_bops_format_go_there_and_come_back_in_the_meshs_own_frame(bop_set, truth, tmp_path):
+    info = bop_set / "models" / "models_info.json"
+    images = [PredictionImage(bop_name(i.id), i.cam_from_obj, i.visibility) for i in truth.images]
+    found = Predictions(truth.object.reference, images)
+    bop_results.write_predictions(tmp_path / "results.csv", found, object_id=1, models_info=info)
+    in_bop, in_mesh = bop.read_ground_truth(bop_set / "test"), bop.read_ground_truth(bop_set / "test", mesh_frame=True)
+    as_it_is = bop_results.read_predictions(tmp_path / "results.csv")
+    back = bop_results.read_predictions(tmp_path / "results.csv", models_info=info)
+    for predictions, same, other in ((as_it_is, in_bop, None), (back, in_mesh, in_bop), (found, in_mesh, in_bop)):
+        assert average_precision(predictions, same, "mssd", threshold=1e-6).ap == 1.0
+        if other is not None:
+            with pytest.raises(InputError, match=r"--mesh-frame.*--models-info"):
+                average_precision(predictions, other, "mssd")
+    remark = bop_results.write_predictions(tmp_path / "mesh.csv", found, object_id=1)
+    assert "--models-info" in remark
+    with pytest.raises(InputError, match="origin_in_mesh"):
+        bop_results.read_predictions(tmp_path / "results.csv", models_info=bop_set / "camera.json")
+
+
+def test_bops_lists_of_targets_name_every_image_and_which_belong_together(bop_set, truth):
+    numbers = [tuple(map(int, image.id.split("-"))) for image in truth.images]
+    detection = json.loads((bop_set / "test_targets_bop24.json").read_text())
+    assert [(row["scene_id"], row["im_id"]) for row in detection] == numbers
+    views = json.loads((bop_set / "test_targets_multiview_bop25.json").read_text())
+    assert [(row["scene_id"], view) for row in views for view in row["im_id"]] == numbers
+    assert len(views) == len({scene for scene, _ in numbers})
+    for name in ("bop24", "multiview_bop25"):
+        chosen = bop.read_ground_truth(bop_set / "test", targets=bop_set / f"test_targets_{name}.json")
+        assert len(chosen.images) == len(truth.images)
 
 
 def test_what_the_sensor_lost_is_visible_to_bop_and_hidden_to_sileane(dataset, tmp_path):
     view = replace(dataset[0], depth_raw=np.zeros_like(dataset[0].depth_raw))
     lost = np.zeros(len(view.instances))
     view = replace(view, instances=replace(view.instances, visibility_returned=lost.astype(np.float32)))
-    write_scene(tmp_path / "000000", [view], lambda v: [v.instance_id == i + 1 for i in v.instances.instance])
+    parts = [view.instance_id == i + 1 for i in view.instances.instance]
+    write_scene(tmp_path / "000000", [view], lambda _: parts, np.zeros(3))
     infos = json.loads((tmp_path / "000000" / "scene_gt_info.json").read_text())["0"]
     assert [info["px_count_visib"] for info in infos] == view.instances.pixels_geometric.tolist()
     assert [info["visib_fract"] for info in infos] == view.instances.visibility_geometric.tolist()

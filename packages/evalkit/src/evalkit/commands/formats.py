@@ -33,6 +33,13 @@ SOURCE_OPTIONS = [
     click.option("--targets", type=FILE, help="Only the images that test_targets_*.json lists.  [bop]"),
     click.option("--width", type=click.IntRange(1), help="Image width where the files do not give it.  [bop]"),
     click.option("--height", type=click.IntRange(1), help="Image height where the files do not give it.  [bop]"),
+    click.option(
+        "--mesh-frame",
+        is_flag=True,
+        default=None,
+        help="Of a set by 'simgen export bop': poses of the mesh in its own frame, as shards and posenet have them.  "
+        "[bop]",
+    ),
 ]
 
 
@@ -86,6 +93,11 @@ def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
 @click.option("-o", "--output", type=FILE, required=True, help="The file, for sileane the folder, to write.")
 @click.option("--object", "object_name", help="Name the object so in the document.")
 @click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object.  [bop]")
+@click.option(
+    "--models-info",
+    type=FILE,
+    help="models_info.json of a set by 'simgen export bop', between BOP's frame and the mesh's own.  [bop]",
+)
 @click.option("--camera-params", type=FILE, help="camera_params.txt, between camera and world.  [sileane]")
 def preds(source: Path, kind: str, target: str, output: Path, **options: Any) -> None:
     """Write anybody's results in SOURCE as preds.json, or as somebody else's format.

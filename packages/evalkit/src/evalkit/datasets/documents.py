@@ -7,10 +7,11 @@
 
 ``binpose-preds/1``::
 
-    {"format", "frame", "object": name or {"name", "diameter"},
+    {"format", "frame", "object": name or {"name", "diameter", "box_center"},
      "images": [{"id", "time_s", "hypotheses": [{"R", "t", "score"}]}]}
 
-The object's name is null where nobody stated one; it then matches any. R (3x3) and t (meters) are ``cam_from_obj``.
+The object's name is null where nobody stated one; it then matches any. "box_center" is the center of the box around
+its mesh: it says which frame of the object the poses map from. R (3x3) and t (meters) are ``cam_from_obj``.
 "frame" is "camera" (the default) or "world"; "world" says that an adapter knew no camera and left the poses as they
 were published, ``world_from_obj``. Unknown fields are let pass.
 
@@ -32,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
+from evalkit.datasets.object_reference import LARGEST, checked_reference
 from evalkit.datasets.pose_rows import Layout, Rows, checked_poses, first_fault, row_dicts, to_arrays
 from evalkit.datasets.scene import Share
 from evalkit.datasets.visibility_fields import FIELDS, are_shares, other_share, read_share, share_fields
@@ -44,7 +46,6 @@ Array = NDArray[np.float64]
 GT_FORMAT = "binpose-gt/1"
 PREDS_FORMAT = "binpose-preds/1"
 FRAMES = ("camera", "world")
-LARGEST = 1e9  # seconds or meters; the integers that JSON may hold are no floats beyond 1e308
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ class PredictionImage:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """A preds.json; `object` is the object's name, or a document that may hold "name" and "diameter"."""
+    """A preds.json; `object` is the object's name, or a document that may hold "name", "diameter", "box_center"."""
 
     object: dict[str, Any] | str
     images: list[PredictionImage]
@@ -108,6 +109,12 @@ class Predictions:
     def object_name(self) -> str:
         """Empty where nobody named the object."""
         return self.object if isinstance(self.object, str) else str(self.object.get("name") or "")
+
+    @property
+    def box_center(self) -> Array | None:
+        """Center (3,) of the box around the mesh, in the frame that the poses map from; None where it is not stated."""
+        center = None if isinstance(self.object, str) else self.object.get("box_center")
+        return None if center is None else np.array(center, float)
 
 
 _GT = Layout(GT_FORMAT, "instances", "instance", "visibility", tuple(FIELDS.values()))
@@ -153,7 +160,7 @@ def read_predictions(path: Path | str) -> Predictions:
         PredictionImage(*parts)
         for parts in zip(ids, checked_poses(_places(path, ids), rows, _PREDS), _values(rows), times, strict=True)
     ]
-    return Predictions(_object_reference(path, document.get("object")), images, _frame(path, document), str(path))
+    return Predictions(checked_reference(path, document.get("object")), images, _frame(path, document), str(path))
 
 
 def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:
@@ -263,18 +270,6 @@ def _frame(path: Path | str, document: dict[str, Any]) -> str:
     if frame not in FRAMES:
         raise InputError(f'{path}: \'frame\' must be "camera" or "world", found {shortened(frame)}.')
     return str(frame)
-
-
-def _object_reference(path: Path | str, reference: Any) -> dict[str, Any] | str:
-    name = reference.get("name") if isinstance(reference, dict) else reference
-    if name is not None and not isinstance(name, str):
-        raise InputError(f"{path}: the field 'object' must be the object's name, or hold its 'name'.")
-    if isinstance(reference, dict):
-        diameter = reference.get("diameter", 1.0)
-        if isinstance(diameter, bool) or not isinstance(diameter, int | float) or not 0 < diameter <= LARGEST:
-            raise InputError(f"{path}: object: the field 'diameter' must be a positive number of meters.")
-        return reference
-    return name or ""
 
 
 def _write(path: Path | str, head: dict[str, Any], images: Iterable[dict[str, Any]]) -> None:

@@ -65,5 +65,4 @@ def read_predictions(source: Path | str | Sequence[Path | str], object_name: str
     """
     truth = read_ground_truth(source, object_name)
     images = [PredictionImage(view.id, view.cam_from_obj, view.visibility) for view in truth.images]
-    reference = {"name": truth.object.name, "diameter": truth.object.diameter}
-    return Predictions(reference, images, source=truth.source)
+    return Predictions(truth.object.reference, images, source=truth.source)

@@ -119,6 +119,30 @@ class ObjectModel:
         """The centroid in the camera's frame: poses (..., 4, 4) -> (..., 3)."""
         return poses.apply(cam_from_obj, self.centroid[None])[..., 0, :]
 
+    @cached_property
+    def box_center(self) -> Array | None:
+        """Center (3,) of the box around the mesh's vertices; None where they are not known."""
+        vertices = self.finite_vertices
+        return (vertices.min(0) + vertices.max(0)) / 2 if len(vertices) else None
+
+    @property
+    def reference(self) -> dict[str, Any]:
+        """What preds.json says of the object that its poses are of."""
+        center = None if self.box_center is None else self.box_center.tolist()
+        return {"name": self.name, "diameter": self.diameter, "box_center": center}
+
+    def with_origin(self, origin: ArrayLike) -> ObjectModel:
+        """The same object in a frame with the same axes whose origin is the point `origin` (3,) of this one."""
+        shift = np.asarray(origin, float)
+        back = poses.from_rotation_translation(np.eye(3), shift)
+        return replace(
+            self,
+            centroid=self.centroid - shift,
+            inertial_from_obj=self.inertial_from_obj @ back,
+            points=None if self.points is None else self.points - shift,
+            vertices=None if self.vertices is None else self.vertices - shift,
+        )
+
     def with_symmetry(self, symmetry: Symmetry) -> ObjectModel:
         return replace(self, symmetry=symmetry)
 

@@ -13,6 +13,7 @@ from evalkit.objects.model import ObjectModel
 
 BOP_NUMBER = re.compile(r"obj_\d+")
 DIAMETER_TOLERANCE = 0.01  # of the diameter: two libraries' readings of one mesh agree far better, two units never
+ORIGIN_TOLERANCE = 0.01  # of the diameter: a decimated mesh's box is centered nearly where the mesh's is
 IMPLAUSIBLE_RATIO = 100.0  # a hypothesis this many times farther than every instance is in another unit
 
 
@@ -35,6 +36,7 @@ def require_same_subject(predictions: Predictions, truth: GroundTruth) -> None:
             f"{where}its object's 'diameter' is {diameter:g} m but that of {truth.source} is "
             f"{truth.object.diameter:g} m; evaluate on ground truth of the same object."
         )
+    _require_same_origin(predictions, truth)
     if predictions.frame != truth.frame:
         raise InputError(
             f"{where}its poses are in the {predictions.frame} frame but those of {truth.source} are in the "
@@ -51,6 +53,20 @@ def _are_of_different_objects(name: str, other: str) -> bool:
     """Whether both names were stated and differ; BOP's number of an object says nothing against a name."""
     is_number = [BOP_NUMBER.fullmatch(one) is not None for one in (name, other)]
     return bool(name and other) and name != other and is_number[0] == is_number[1]
+
+
+def _require_same_origin(predictions: Predictions, truth: GroundTruth) -> None:
+    """The object's frame must be one: a set in BOP's format may have moved it."""
+    center, other = predictions.box_center, truth.object.box_center
+    if center is None or other is None:
+        return
+    apart = float(np.linalg.norm(center - other))
+    if apart > ORIGIN_TOLERANCE * truth.object.diameter:
+        raise InputError(
+            f"{predictions.source}: its poses are of an object frame whose origin lies {1e3 * apart:.3g} mm from that "
+            f"of {truth.source}; for a set by 'simgen export bop' give 'evalkit gt --mesh-frame', and for results in "
+            "BOP's format 'evalkit preds --models-info'."
+        )
 
 
 def _require_same_unit(predictions: Predictions, truth: GroundTruth) -> None:

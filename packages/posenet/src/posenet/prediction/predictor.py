@@ -176,7 +176,5 @@ def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses
 
 def to_document(model: ObjectModel, images: Iterator[tuple[str, PredictedPoses]]) -> Predictions:
     """Named images' poses as a preds.json document."""
-    reference = {"name": model.name, "diameter": model.diameter}
-    return Predictions(
-        reference, [PredictionImage(name, poses.cam_from_obj, poses.score, poses.time_s) for name, poses in images]
-    )
+    found = [PredictionImage(name, poses.cam_from_obj, poses.score, poses.time_s) for name, poses in images]
+    return Predictions(model.reference, found)

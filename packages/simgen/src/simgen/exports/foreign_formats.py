@@ -49,18 +49,18 @@ def export_bop(dataset: ShardDataset, out: Path, split: str, on_frames: OnFrames
     head = dataset.header
     with staged_folder(out, {"format": "bop", "split": split, "shards": _stated(dataset)}) as part:
         bop_export.write_dataset_files(part, head.object, head.camera, head.depth_unit)
-        silhouettes = _Silhouettes(dataset)
+        silhouettes, origin = _Silhouettes(dataset), bop_export.origin_in_mesh(head.object)
         for scene, frames in _scenes(dataset):
             target = part / split / f"{scene:06d}"
             if not target.exists():
                 begun = target.with_name(f".{target.name}")
                 shutil.rmtree(begun, ignore_errors=True)
                 views = (_told(dataset[frame], on_frames) for frame in frames)
-                bop_export.write_scene(begun, views, silhouettes)
+                bop_export.write_scene(begun, views, silhouettes, origin)
                 os.replace(begun, target)
             else:
                 on_frames(len(frames))
-        bop_export.write_targets(part / "test_targets_bop19.json", _visibilities(dataset))
+        bop_export.write_targets(part, _visibilities(dataset))
 
 
 def export_sileane(dataset: ShardDataset, out: Path, on_frames: OnFrames) -> None:

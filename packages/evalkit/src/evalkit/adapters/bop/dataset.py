@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.adapters.bop.object import METERS, read_object
+from evalkit.adapters.bop.mesh_frame import read_origin, truth_in_mesh_frame
+from evalkit.adapters.bop.object import METERS, models_info, read_object
 from evalkit.adapters.bop.scenes import Scene, dataset_folder, find_scenes
 from evalkit.adapters.bop.target_lists import Targets, read_targets
 from evalkit.adapters.depth_images import DepthImage
@@ -46,6 +47,7 @@ def read_ground_truth(
     targets: Path | None = None,
     width: int | None = None,
     height: int | None = None,
+    mesh_frame: bool | None = None,
 ) -> GroundTruth:
     """One object's instances in all images of a split (DATASET/test) or of one scene (DATASET/test/000001).
 
@@ -58,6 +60,7 @@ def read_ground_truth(
         sensor: the camera's or modality's name in sets that have several, such as cam1.
         targets: a test_targets_*.json; images that it does not list are left out, the others are in its order.
         width, height: the images' size where neither images nor camera.json give it.
+        mesh_frame: whether poses are those of the mesh that `simgen export bop` made the model from.
 
     Raises:
         InputError: a file is missing or is not what it should be, or an option is needed.
@@ -79,7 +82,8 @@ def read_ground_truth(
     if rule is not None:
         remarks.append(rule.remark)
     share = "geometric" if rule is None else rule.share
-    return GroundTruth(model, images, source=str(folder), remarks=tuple(remarks), share=share)
+    truth = GroundTruth(model, images, source=str(folder), remarks=tuple(remarks), share=share)
+    return truth_in_mesh_frame(truth, read_origin(models_info(dataset, object_id), object_id)) if mesh_frame else truth
 
 
 def depth_images(folder: Path, *, sensor: str | None = None, targets: Path | None = None) -> Iterator[DepthImage]:

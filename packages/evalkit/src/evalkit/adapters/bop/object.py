@@ -81,6 +81,11 @@ def read_object(
     return model.with_symmetry(found), [*remarks, f"There is no models_info.json: the mesh's symmetry is {found.name}."]
 
 
+def models_info(dataset: Path | None, object_id: int) -> Path:
+    """The file that states an object's symmetries, whether it is there or not."""
+    return (_model_folder(dataset, object_id) or (dataset or Path()) / MODEL_FOLDERS[0]) / "models_info.json"
+
+
 def _model_folder(dataset: Path | None, object_id: int) -> Path | None:
     if dataset is None:
         return None

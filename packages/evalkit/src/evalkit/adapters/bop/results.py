@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.adapters.bop.mesh_frame import predictions_in_bop_frame, predictions_in_mesh_frame, read_origin
 from evalkit.adapters.bop.object import METERS
 from evalkit.adapters.fields import checked_poses, csv_rows, image_id
 from evalkit.atomic import atomic_path
@@ -23,6 +24,7 @@ from evalkit.errors import InputError
 Array = NDArray[np.float64]
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 UNKNOWN_TIME = -1.0
+CENTERED = 1e-6  # meters
 SAME_TIME = 1e-3  # seconds; bop_toolkit asks for the same
 IMAGE_ID = re.compile(r"(\d+)-(\d+)")
 OBJECT_NAME = re.compile(r"obj_(\d+)")
@@ -36,8 +38,13 @@ class _Row(NamedTuple):
     values: list[float]  # score, R (9), t (3) in millimeters, time
 
 
-def read_predictions(path: Path, *, object_id: int | None = None, object_name: str | None = None) -> Predictions:
+def read_predictions(
+    path: Path, *, object_id: int | None = None, object_name: str | None = None, models_info: Path | None = None
+) -> Predictions:
     """One object's estimates; `object_id` may be left out where the file has one object only.
+
+    Args:
+        models_info: of a set that `simgen export bop` wrote; takes the poses to the frame of its mesh.
 
     Raises:
         InputError: a row is not what it should be; the sentence names its line.
@@ -58,11 +65,17 @@ def read_predictions(path: Path, *, object_id: int | None = None, object_name: s
         values[:, 1:10], values[:, 10:13] * METERS, lambda i: f"{path}: line {places[i]}: the estimate"
     )
     images = _images(path, rows, cam_from_obj, values[:, 0], values[:, 13])
-    return Predictions(object_name or f"obj_{object_id:06d}", images, source=str(path))
+    found = Predictions(object_name or f"obj_{object_id:06d}", images, source=str(path))
+    return found if models_info is None else predictions_in_mesh_frame(found, read_origin(models_info, object_id))
 
 
-def write_predictions(path: Path, predictions: Predictions, *, object_id: int | None = None) -> None:
-    """Write a results file; an image without hypotheses leaves no trace in it.
+def write_predictions(
+    path: Path, predictions: Predictions, *, object_id: int | None = None, models_info: Path | None = None
+) -> str | None:
+    """Write a results file; an image without hypotheses leaves no trace in it. Says in whose frame the poses are.
+
+    Args:
+        models_info: of a set that `simgen export bop` wrote; takes the poses from the frame of its mesh to BOP's.
 
     Raises:
         InputError: an image's id is not two numbers, the object's number is not known, or poses are not the camera's.
@@ -74,6 +87,8 @@ def write_predictions(path: Path, predictions: Predictions, *, object_id: int | 
         name = f"the object's name, '{predictions.object_name}'," if predictions.object_name else "the object's name"
         raise InputError(f"{predictions.source}: {name} does not tell BOP's number of it; give --object-id.")
     obj = int(number[1]) if object_id is None and number is not None else object_id
+    if obj is not None and models_info is not None:
+        predictions = predictions_in_bop_frame(predictions, read_origin(models_info, obj))
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         file.write(",".join(COLUMNS) + "\n")
         for image in predictions.images:
@@ -82,6 +97,14 @@ def write_predictions(path: Path, predictions: Predictions, *, object_id: int | 
             for pose, score in zip(image.cam_from_obj, image.score, strict=True):
                 rotation, translation = _words(pose[:3, :3]), _words(pose[:3, 3] / METERS)
                 file.write(f"{scene},{im},{obj},{float(score)!r},{rotation},{translation},{time!r}\n")
+    center = predictions.box_center
+    if models_info is not None or center is None or np.linalg.norm(center) <= CENTERED:
+        return None
+    return (
+        f"The mesh's origin is {1e3 * np.linalg.norm(center):.3g} mm from the center of its box, where BOP's models "
+        "have it; if these are results on a set by 'simgen export bop', give its models/models_info.json as "
+        "--models-info."
+    )
 
 
 def _rows(path: Path) -> Iterator[_Row]:
