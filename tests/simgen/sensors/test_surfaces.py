@@ -48,14 +48,14 @@ def test_glare_loses_what_faces_the_camera() -> None:
     assert not (measure(plane(10.0), CAMERA, replace(PERFECT, glare_degrees=5.0), rng())[:, 90:110] == 0).any()
 
 
-def test_mirrors_bend_convex_surfaces_away_and_hollow_ones_towards_the_camera_and_leave_planes() -> None:
+def test_mirrors_bend_convex_surfaces_away_and_hollow_ones_toward_the_camera_and_leave_planes() -> None:
     sensor, middle = replace(PERFECT, mirror_share=0.3, bend_most=0.02), np.s_[40:120, 99:101]
     for radius in (0.01, 0.03):
         away = (measure(cylinder(radius), CAMERA, sensor, rng()) - cylinder(radius))[middle].mean()
         # the mean curvature of a cylinder is half that of its section: an image at `radius` behind it
         assert away == pytest.approx(0.3 * radius if radius <= 0.02 else 0.3 * 0.02**2 / radius, rel=0.1)
-    towards = (measure(cylinder(0.05, hollow=True), CAMERA, sensor, rng()) - cylinder(0.05, hollow=True))[middle]
-    assert towards.mean() < -1e-3
+    toward = (measure(cylinder(0.05, hollow=True), CAMERA, sensor, rng()) - cylinder(0.05, hollow=True))[middle]
+    assert toward.mean() < -1e-3
     for degrees in (0.0, 40.0):
         bent = measure(plane(degrees), CAMERA, sensor, rng()) - plane(degrees)
         assert np.abs(bent[10:-10, 90:110]).max() < 5e-4

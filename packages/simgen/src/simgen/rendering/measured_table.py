@@ -82,7 +82,7 @@ def _of_plane(numbers: Array | list[float], camera: Camera, where: str) -> Array
     length = math.hypot(*normal)
     if not (np.isfinite(length) and length > 0 and np.isfinite(offset) and offset != 0):
         raise InputError(f"{where}: no plane before the camera; give {FORMS}.")
-    up = -np.sign(offset) * np.array(normal) / length  # towards the camera, which is the origin
+    up = -np.sign(offset) * np.array(normal) / length  # toward the camera, which is the origin
     ray = camera.unproject([(camera.width - 1) / 2, (camera.height - 1) / 2], 1.0)
     toward = float((up * ray).sum())
     if toward > -SHALLOWEST:
