@@ -70,8 +70,8 @@ def fit_command(
     part = None if mesh is None else prepare_object(mesh)
     fitted = fit_sensor(found, baseline, name or output.stem)
     if part is not None:
-        images, camera = heap_images(part, found, fitted.sensor)
-        fitted = replace(fitted, heap=statistics_of(images, camera, static=False))
+        heap, camera = heap_images(part, found, fitted.sensor)
+        fitted = replace(fitted, heap=statistics_of(heap, camera, static=False))
     judged = [row for row in rows(fitted.real, fitted.twin, found.camera.fx) if row.judged]
     figures = {row.name: {"camera": row.real, "twin": row.twin, "unit": row.unit} for row in judged}
     write_text(page, fit_page(fitted, found))

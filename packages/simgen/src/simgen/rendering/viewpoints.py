@@ -115,10 +115,11 @@ def require_clear_table(config: ViewpointConfig, size: BinSize, diameter: float)
 
 def _on_measured_table(rng: np.random.Generator, config: ViewpointConfig, size: BinSize) -> Array:
     """`cam_from_world` (4, 4) of a bin that is turned, and put aside, on the measured table."""
+    assert config.cam_from_table is not None, "the table was measured"
     turn = math.radians(config.max_turn_degrees) * rng.uniform(-1, 1)
     aside = rng.uniform(-1, 1, 2) * config.look_at_jitter * (size.width, size.depth)
     table_from_world = poses.from_rotation_translation(poses.from_axis_angle([0, 0, 1.0], turn), np.append(-aside, 0.0))
-    return poses.compose(config.cam_from_table, table_from_world)
+    return poses.compose(np.array(config.cam_from_table), table_from_world)
 
 
 def _one_viewpoint(

@@ -220,7 +220,7 @@ def _nearer(sensor: SensorConfig, real: Statistics, twin: Statistics, noise: boo
     main = int(np.argmax(real.noise_count))
     if noise and np.isfinite(real.noise[main] / max(twin.noise[main], 1e-12)):
         changes |= _noise_nearer(sensor, real, twin, main)
-    return replace(sensor, **changes)
+    return replace(sensor, **changes)  # type: ignore[arg-type]
 
 
 def _noise_nearer(sensor: SensorConfig, real: Statistics, twin: Statistics, main: int) -> dict[str, float]:

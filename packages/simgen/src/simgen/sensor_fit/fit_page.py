@@ -7,11 +7,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evalkit.drawing.chart import Chart
 from evalkit.drawing.page import render_page
@@ -85,7 +86,7 @@ def _images(fitted: FittedSensor, frames: FitFrames) -> bytes:
     return written.getvalue()
 
 
-def _colors() -> object:
+def _colors() -> Any:
     from matplotlib import colormaps
 
     return colormaps["viridis_r"].with_extremes(bad="black")
@@ -122,7 +123,7 @@ def _charts(fitted: FittedSensor, fx: float) -> Iterator[Chart]:
 
 
 def _pair(
-    name: str, title: str, caption: str, across: str, up: str, x: Array | tuple[int, ...] | list[float],
+    name: str, title: str, caption: str, across: str, up: str, x: ArrayLike,
     real: Array, twin: Array,
 ) -> Chart:  # fmt: skip
     return Chart(
@@ -135,10 +136,10 @@ def _pair(
     )
 
 
-def _drawer(x: object, real: Array, twin: Array, across: str, up: str) -> Callable[[Axes], None]:
+def _drawer(x: ArrayLike, real: Array, twin: Array, across: str, up: str) -> Callable[[Axes], None]:
     def draw(axes: Axes) -> None:
-        axes.plot(x, real, "o-", color=INK, label="camera")  # type: ignore[arg-type]
-        axes.plot(x, twin, "s--", color=LINE, label="twin")  # type: ignore[arg-type]
+        axes.plot(x, real, "o-", color=INK, label="camera")
+        axes.plot(x, twin, "s--", color=LINE, label="twin")
         highest = float(np.nanmax(np.concatenate([real, twin, [0.0]])))
         lowest = float(np.nanmin(np.concatenate([real, twin, [0.0]])))
         axes.set(xlabel=across, ylabel=up, ylim=(1.1 * lowest, 1.1 * highest + 1e-9))

@@ -138,7 +138,9 @@ def _steps(q: Image, fx: float) -> tuple[list[list[Mask]], Mask]:
     down = np.zeros_like(rise)
     down[1:] = np.abs(q[1:] - q[:-1]) * fx / np.minimum(q[1:], q[:-1]) > STEP
     any_step = rise | fall | down
-    before, after, nearer = [], [], []
+    before: list[Mask] = []
+    after: list[Mask] = []
+    nearer: list[Mask] = []
     seen = np.zeros_like(rise)
     for distance in range(1, BESIDE + 1):
         on_left, on_right = _moved(rise, -distance), _moved(fall, distance - 1)
@@ -169,7 +171,7 @@ def _by_slope(slope: Image, values: Image, figure: Callable[[Image], float]) -> 
     return np.array([figure(group) for group in groups]), np.array([float(len(group)) for group in groups])
 
 
-def _spread(values: Image) -> float:
+def _spread(values: NDArray[np.floating]) -> float:
     """Standard deviation of what is normal with some outliers: half of where the middle 68 % lie."""
     if len(values) < 30:
         return math.nan

@@ -75,11 +75,11 @@ def _rows(real: Statistics, twin: Statistics, fx: float) -> Iterator[Row]:
     for side, words in enumerate(sides):
         for low, high in ((0, 2), (2, 5), (5, 8)):
             part = slice(low, high)
-            count = real.beside_count[side, part]
-            figures = [(s.beside[side, part] * s.beside_count[side, part]).sum() for s in (real, twin)]
+            missing = [(s.beside[side, part] * s.beside_count[side, part]).sum() for s in (real, twin)]
             totals = [max(s.beside_count[side, part].sum(), 1.0) for s in (real, twin)]
             name = f"missing {low + 1} to {high} pixels {words}"
-            yield _share(name, figures[0] / totals[0], figures[1] / totals[1], BESIDE_FLOOR, count.sum())
+            pixels = real.beside_count[side, part].sum()
+            yield _share(name, missing[0] / totals[0], missing[1] / totals[1], BESIDE_FLOOR, pixels)
     yield _share("flying pixels beside steps", real.flying, twin.flying, 0.02, real.beside_count.sum())
 
 
