@@ -26,7 +26,7 @@ def from_angles(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
 
 def to_angles(rotation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Rotations (..., 3, 3) to a and c in [-pi, pi] and b in [0, pi], each (...)."""
-    sine = torch.hypot(rotation[..., 0, 2], rotation[..., 1, 2])
+    sine = (rotation[..., 0, 2].square() + rotation[..., 1, 2].square()).sqrt()  # ONNX has no hypot
     b = torch.atan2(sine, rotation[..., 2, 2])
     a = torch.atan2(rotation[..., 1, 2], rotation[..., 0, 2])
     c = torch.atan2(rotation[..., 2, 1], -rotation[..., 2, 0])

@@ -230,13 +230,13 @@ def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), default="model.onnx", show_default=True)
 def export(model: Path, out: Path) -> None:
-    """Write MODEL as ONNX, for what runs without Python: trunk with detector, and the heads of the regions.
+    """Write MODEL as ONNX, for what runs without Python.
 
-    Three files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx takes boxes to center, depth
-    and rotation outputs, OUT.json holds the bins and frames. How to decode them stands in posenet.models.onnx_export.
-    Needs pip install 'binpose-posenet[export]'.
+    Four files: OUT takes a depth image to features and scored boxes, OUT-regions.onnx boxes to poses, OUT-scores.onnx
+    poses to scores; OUT.json holds the rules between them, which docs/onnx.md explains. examples/onnx_decoder.py gives
+    the poses of predict from them. Needs pip install 'binpose-posenet[export]'.
     """
-    from posenet.models import onnx_export
+    from posenet.exports import onnx_export
     from posenet.models.model_file import load_model
 
     for path in onnx_export.export(load_model(model).network, out):

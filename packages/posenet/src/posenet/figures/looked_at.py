@@ -74,7 +74,7 @@ def look_at(network: PoseNetwork, view: View) -> LookedAt:
     detections, outputs, hypotheses = proposals[:3]
     if len(hypotheses) == 0:
         raise InputError(f"image '{view.image_id}': the model finds nothing there; give another --frame.")
-    score = network.final_logit(scored).sigmoid().double().numpy()
+    score = network.final_logit(scored.confidence, scored.registered).sigmoid().double().numpy()
     return LookedAt(network, view, outputs, hypotheses, detections, scored.confidence, score)
 
 

@@ -60,7 +60,8 @@ def clip_boxes(
     width: int,
 ) -> Tensor:
     """The part of each box (..., 4) that lies in the image."""
-    return boxes.clamp(min=0).minimum(boxes.new_tensor([width, height, width, height]))
+    x, y = boxes[..., 0::2].clamp(0, width), boxes[..., 1::2].clamp(0, height)
+    return torch.stack([x, y], -1).flatten(-2)
 
 
 def encode_boxes(

@@ -1,1 +1,1 @@
-"""A trained model on disk: its file, packed for travel, and as ONNX."""
+"""A trained model on disk: its file, and packed for travel."""

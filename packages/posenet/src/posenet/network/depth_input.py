@@ -9,6 +9,7 @@ from torch.nn import functional as F
 from evalkit.geometry.camera import Camera, nearest_pixels
 from posenet.config import NetworkConfig
 
+EVERY = 4  # pixels, along rows and columns: enough for a median of the image
 LEAST_PLAUSIBLE = 0.02  # of an image's depths; if fewer are where the object was in training, it is elsewhere
 CROP_CHANNELS = 4  # relative depth, two normal components, has a return
 
@@ -47,7 +48,7 @@ def scene_depth(depth: Tensor, depth_range: tuple[float, float], diameter: float
     It is the median of the depths where the object may be by the training set's range of centroids, so that a floor
     far below the bin does not shift it; where hardly any lies there, the median of all.
     """
-    seen = depth[:, ::4, ::4].flatten(1)
+    seen = depth[:, ::EVERY, ::EVERY].flatten(1)
     near, far = depth_range[0] - diameter, depth_range[1] + diameter
     plausible = torch.where((seen > near) & (seen < far), seen, 0.0)
     enough = (plausible > 0).sum(1) > LEAST_PLAUSIBLE * (seen > 0).sum(1)

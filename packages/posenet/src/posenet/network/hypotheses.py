@@ -58,17 +58,25 @@ def generate(
 
     Greedy: a candidate nearer than the object's Sym threshold to a better one of the same detection is dropped.
     """
-    relative, depth, mass = _candidates(outputs, codec)
+    found, kept = candidates(outputs, regions, codec, distance, per_detection)
+    return found.select(kept.flatten())
+
+
+def candidates(
+    outputs: PoseOutputs, regions: Regions, codec: PoseCodec, distance: SymDistance, per_detection: int
+) -> tuple[Hypotheses, Tensor]:
+    """All that :func:`generate` chooses from, n * K rows, K for each region, best first, and which it keeps (n, K)."""
+    relative, depth, mass = _products(outputs, codec)
     offset = outputs.offset[:, None].expand(*depth.shape, 2)
     windows, reference, intrinsics = regions.windows, regions.reference_depth, regions.intrinsics
     rotation, center = codec.decode(offset, depth, relative, windows[:, None], reference[:, None], intrinsics[:, None])
-    keep = _thin(distance.pairwise(rotation, center), mass, codec.model.threshold, per_detection)
-    detection, candidate = keep.nonzero(as_tuple=True)
-    rows = (detection, candidate)
-    return Hypotheses(detection, rotation[rows], center[rows], relative[rows], offset[rows], depth[rows], mass[rows])
+    kept = _thin(distance.pairwise(rotation, center), mass, codec.model.threshold, per_detection)
+    detection = torch.arange(mass.shape[0], device=mass.device)[:, None].expand(mass.shape)
+    parts = (detection, rotation, center, relative, offset, depth, mass)
+    return Hypotheses(*(part.flatten(0, 1) for part in parts)), kept
 
 
-def _candidates(outputs: PoseOutputs, codec: PoseCodec) -> tuple[Tensor, Tensor, Tensor]:
+def _products(outputs: PoseOutputs, codec: PoseCodec) -> tuple[Tensor, Tensor, Tensor]:
     """Rotations (n, K, 3, 3), depths (n, K) and log-products (n, K), best first."""
     interpolate = codec.config.interpolate
     logs = [logits.log_softmax(-1) for logits in outputs.angles]
@@ -95,7 +103,7 @@ def _candidates(outputs: PoseOutputs, codec: PoseCodec) -> tuple[Tensor, Tensor,
 def _regressed_mass(rotation: Tensor, codec: PoseCodec, logs: list[Tensor]) -> Tensor:
     """Log-product (n,) of the angle bins, with their neighbors, that regressed rotations (n, 3, 3) fall into."""
     angles = euler.to_angles(codec.canonical_label(rotation))
-    total = torch.zeros(len(rotation), device=rotation.device)
+    total = torch.zeros(rotation.shape[0], device=rotation.device)
     for bins, log, angle in zip(codec.angle_bins, logs, angles, strict=True):
         if bins.count == 1:
             continue

@@ -189,7 +189,8 @@ class PoseNetwork(nn.Module):
             some = found.select(mine[found.detection])
             some = some.numbered((mine.cumsum(0) - 1)[some.detection])
             detections = Detections(regions.boxes[rows], scores[rows])
-            proposals.append(Proposals(detections, outputs.select(rows), some, self._seen(images, i, some)))
+            seen = self.seen(images.features[i], images.intrinsics[i], some.rotation, some.center)
+            proposals.append(Proposals(detections, outputs.select(rows), some, seen))
         return proposals
 
     def _read_in_portions(
@@ -209,41 +210,46 @@ class PoseNetwork(nn.Module):
             found.append(part.numbered(portion[part.detection]))
         return PoseOutputs.joined(outputs), Hypotheses.joined(found)
 
-    def _seen(self, images: ImageFeatures, image: int, found: Hypotheses) -> Tensor | None:
-        """What the registration sees of each hypothesis (H, F): shared features within the box of its posed object."""
+    def seen(self, features: Tensor, intrinsics: Tensor, rotation: Tensor, center: Tensor) -> Tensor | None:
+        """What the registration sees of each hypothesis (H, F): features (C, h, w) within the box of its object."""
         cells = self.config.network.registration_cells
         if self.registration is None or not cells:
             return None
-        nearest = 0.1 * self.model.diameter
-        boxes = seen_boxes(self.outermost, found.rotation, found.center, images.intrinsics[image], nearest)
-        return pooled_features(images.features[image], boxes, cells, self.backbone.stride)
+        boxes = seen_boxes(self.outermost, rotation, center, intrinsics, nearest=0.1 * self.model.diameter)
+        return pooled_features(features, boxes, cells, self.backbone.stride)
 
     def score(self, proposals: Proposals, options: PredictOptions = AS_TRAINED) -> Scored:
         """The logits of one image's hypotheses; gradients reach the scoring parameters only."""
         detections, outputs, found, seen = proposals
-        if self.confidence is not None:
-            confidence = self.confidence(outputs.features, detections.scores, found, self.model.diameter)
-        else:
-            product = detections.scores[found.detection].clamp(1e-6, 1 - 1e-6).log() + found.log_product
-            confidence = product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
-        registered = None
-        if self.registration is not None and options.registration:
-            angles = torch.stack(euler.to_angles(found.relative), -1)
-            claims = HypothesisSet(confidence.detach(), found.rotation, found.center, angles, found.detection)
-            neighbors = self.config.network.registration_neighbours
-            registered = self.registration(relation_features(claims, self.model_box, neighbors), seen)
+        confidence = self.confidence_logit(detections.scores, outputs, found)
+        registered = self.registered_logit(confidence, found, seen) if options.registration else None
         return Scored(found, detections.boxes, confidence, registered)
 
-    def final_logit(self, scored: Scored) -> Tensor:
+    def confidence_logit(self, detected: Tensor, outputs: PoseOutputs, found: Hypotheses) -> Tensor:
+        """The logits (H,) of hypotheses by themselves; `detected` (n,) are the scores of their detections."""
+        if self.confidence is not None:
+            return self.confidence(outputs.features, detected, found, self.model.diameter)
+        product = detected[found.detection].clamp(1e-6, 1 - 1e-6).log() + found.log_product
+        return product - torch.log1p(-product.exp().clamp(max=1 - 1e-6))
+
+    def registered_logit(self, confidence: Tensor, found: Hypotheses, seen: Tensor | None) -> Tensor | None:
+        """The logits (H,) of one image's hypotheses in view of each other; None without a registration."""
+        if self.registration is None:
+            return None
+        angles = torch.stack(euler.to_angles(found.relative), -1)
+        claims = HypothesisSet(confidence.detach(), found.rotation, found.center, angles, found.detection)
+        neighbors = self.config.network.registration_neighbours
+        return self.registration(relation_features(claims, self.model_box, neighbors), seen)
+
+    def final_logit(self, confidence: Tensor, registered: Tensor | None) -> Tensor:
         """A learned confidence and the registration are two opinions; the paper's product is no opinion on its own."""
-        if scored.registered is None:
-            return scored.confidence
-        both = (scored.confidence + scored.registered) / 2
-        return both if self.confidence is not None else scored.registered
+        if registered is None:
+            return confidence
+        return (confidence + registered) / 2 if self.confidence is not None else registered
 
     def rank(self, scored: Scored) -> ImagePoses:
         """The hypotheses by their final score, best first."""
-        logit = self.final_logit(scored)
+        logit = self.final_logit(scored.confidence, scored.registered)
         order = logit.argsort(descending=True, stable=True)
         found = scored.hypotheses.select(order)
         boxes = scored.boxes[found.detection]
@@ -285,12 +291,8 @@ class PoseNetwork(nn.Module):
                 loss = nn.functional.binary_cross_entropy_with_logits(image.confidence, right, reduction="sum")
                 parts["confidence"].append(loss / max(len(found), 1))
             if image.registered is not None:
-                wanted = registration_targets(
-                    distances,
-                    image.confidence.detach(),
-                    self.model.threshold,
-                    visibility < self.config.train.min_visibility,
-                )
+                ignored = visibility < self.config.train.min_visibility
+                wanted = registration_targets(distances, image.confidence.detach(), self.model.threshold, ignored)
                 weighting = self.config.loss.registration_weights
                 parts["registration"].append(registration_loss(image.registered, wanted, weighting))
         return {name: Mean.of(torch.stack(values), with_any) for name, values in parts.items() if values}

@@ -49,6 +49,12 @@ class Relations:
     pairs: Tensor  # (P, 2) listener and neighbor, sorted by listener; each is its own neighbor too
     features: Tensor  # (P, 13), see RELATION_NAMES
 
+    def heard(self) -> Tensor:
+        """How many neighbors each hears (n,)."""
+        if torch.compiler.is_exporting():  # ONNX cannot count; as many, whoever listens
+            return self.pairs.new_zeros(self.count)
+        return self.pairs[:, 0].bincount(minlength=self.count)
+
     @classmethod
     def merged(cls, parts: list[Relations]) -> Relations:
         """Several images as one graph without edges between them: hypotheses in the order of `parts`."""
@@ -80,7 +86,7 @@ def relation_features(
     shift = (hypotheses.center[other] - hypotheses.center[own]).float() / diagonal
     both_scores = torch.stack([scores[own], scores[other]], 1) / SCORE_UNIT
     features = [both_scores, overlap[:, None], angles[own], angles[other], shift, shift.norm(dim=1)[:, None]]
-    return Relations(len(scores), pairs, torch.cat(features, 1))
+    return Relations(scores.shape[0], pairs, torch.cat(features, 1))
 
 
 def posed_boxes(rotation: Tensor, center: Tensor, model_box: Tensor) -> tuple[Tensor, Tensor]:
@@ -94,7 +100,7 @@ def posed_boxes(rotation: Tensor, center: Tensor, model_box: Tensor) -> tuple[Te
 def box_iou_3d(a: tuple[Tensor, Tensor], b: tuple[Tensor, Tensor]) -> Tensor:
     """Intersection over union (n, m) of axis-parallel boxes, given by lowest and highest corners (n, 3) and (m, 3)."""
     (low_a, high_a), (low_b, high_b) = a, b
-    shared = torch.ones(len(low_a), len(low_b), device=low_a.device)
+    shared = torch.ones(low_a.shape[0], low_b.shape[0], device=low_a.device)
     for axis in range(3):
         top = torch.minimum(high_a[:, None, axis], high_b[None, :, axis])
         shared *= (top - torch.maximum(low_a[:, None, axis], low_b[None, :, axis])).clamp_(min=0)
@@ -113,6 +119,8 @@ def _neighboring_pairs(
     boxes: tuple[Tensor, Tensor], detection: Tensor, scores: Tensor, most: int
 ) -> tuple[Tensor, Tensor]:
     """Pairs (P, 2) sorted by listener, and the overlap (P,) of each; listeners in portions, for memory's sake."""
+    if torch.compiler.is_exporting():
+        return _as_many_pairs_of_all(boxes, detection, scores, most)
     pairs, overlap = [], []
     for listeners in torch.arange(len(scores), device=scores.device).split(LISTENERS_AT_ONCE):
         iou = box_iou_3d((boxes[0][listeners], boxes[1][listeners]), boxes)
@@ -120,6 +128,24 @@ def _neighboring_pairs(
         pairs.append(torch.stack([listeners[row], neighbor], 1))
         overlap.append(iou[row, neighbor])
     return torch.cat(pairs), torch.cat(overlap)
+
+
+def _as_many_pairs_of_all(
+    boxes: tuple[Tensor, Tensor], detection: Tensor, scores: Tensor, most: int
+) -> tuple[Tensor, Tensor]:
+    """As :func:`_neighboring_pairs`, for ONNX: `most` pairs of every listener; who has fewer hears itself again.
+
+    What is heard twice changes no maximum. Of n hypotheses as many again stand by that nobody hears, so that there are
+    always `most` to choose from.
+    """
+    iou = box_iou_3d(boxes, boxes)
+    itself = torch.arange(scores.shape[0], device=scores.device)
+    closeness = torch.where(itself[:, None] == itself, 3.0, iou + (detection[:, None] == detection))
+    preference = torch.where(closeness > 0, closeness + 1e-4 * scores.sigmoid(), closeness)
+    best, neighbor = F.pad(preference, (0, most)).topk(most, dim=1)
+    neighbor = torch.where(best > 0, neighbor, itself[:, None]).flatten()
+    listener = itself[:, None].expand(best.shape).flatten()
+    return torch.stack([listener, neighbor], 1), iou[listener, neighbor]
 
 
 def _neighbors(
@@ -170,7 +196,7 @@ class JointRegistration(nn.Module):
         with torch.autocast(relations.features.device.type, enabled=False):
             state = relations.features.new_zeros(relations.count, self.width)
             relation = self.relation(self._pairs(relations, features))
-            counts = relations.pairs[:, 0].bincount(minlength=relations.count)
+            counts = relations.heard()
             for block in self.blocks:
                 state = block(state, relation, relations.pairs, counts)
             return self.head(state)[:, 0]
@@ -215,6 +241,8 @@ def max_by_listener(messages: Tensor, counts: Tensor) -> Tensor:
     `counts` (n,) says how many each has; none has none. A maximum does not depend on the order, so this repeats itself
     on every device. Twice as fast as `scatter_reduce`.
     """
+    if torch.compiler.is_exporting():  # each has as many
+        return messages.view(counts.shape[0], -1, messages.shape[1]).amax(1)
     return torch.segment_reduce(messages, "max", lengths=counts, axis=0, unsafe=True)
 
 

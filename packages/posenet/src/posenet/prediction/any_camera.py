@@ -13,6 +13,7 @@ from posenet.network.pose_network import PoseNetwork
 
 TOLERANCE = 0.02  # focal lengths this close to the training camera's need no resampling
 FARTHER = 1.4  # times the training set's depths, from where on images are enlarged to the trained size of objects
+STEPS_AN_OCTAVE = 4  # in which they are enlarged, so that images of one sequence share a grid
 LEAST_PIXELS = 6.0  # an object smaller than this in its image shows nothing
 LARGEST_SHARE = 1.5  # nor does one larger than so many image sides
 MOST_PIXELS = 40e6  # of a resampled image
@@ -76,5 +77,4 @@ def _zoom(depth: NDArray[np.float32], network: PoseNetwork) -> float:
     median = distance(depth, network)
     if near / FARTHER <= median <= far * FARTHER:
         return 1.0
-    # Rounded to a few steps, so that images of one sequence share a grid.
-    return float(2 ** (round(4 * np.log2(2 * median / (near + far))) / 4))
+    return float(2 ** (round(STEPS_AN_OCTAVE * np.log2(2 * median / (near + far))) / STEPS_AN_OCTAVE))

@@ -1,0 +1,1 @@
+"""A trained network for what runs without Python: ONNX graphs, and the rules between them."""
