@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from evalkit.datasets.shard_folder import DATASET_FILE, shard_name
+from evalkit.errors import InputError
 from simgen.building.build import build
 from simgen.building.repair import repair
 from simgen.commands.cli import cli
@@ -157,6 +158,13 @@ def test_a_dataset_of_the_first_schema_is_left_as_it_is_and_never_completed_with
     assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
     assert "begun with shards of schema binpose-shard/1" in result.stderr
     assert contents(copy) == before
+    older = json.loads((copy / DATASET_FILE).read_text(encoding="utf-8"))
+    del older["config"]["physics"]
+    (copy / DATASET_FILE).write_text(json.dumps(older), encoding="utf-8")
+    with pytest.raises(InputError, match="begun with shards of schema binpose-shard/1"):
+        prepared = prepare_object("brick")
+        config = replace(debug(), scenes=3, views=1, shard_scenes=1)
+        build(plan(config, prepared.model, prepared.convex_parts), copy, workers=1)
 
 
 def test_a_shard_of_the_first_schema_among_others_is_named_and_rebuilt(

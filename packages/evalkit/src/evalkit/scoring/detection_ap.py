@@ -83,8 +83,8 @@ class DetectionAp:
             f"diameters of {1000 * self.diameter:.4g} mm ({self.diameter_source}) or {MILLIMETERS[0]:g} to "
             f"{MILLIMETERS[-1]:g} mm, and MSPD thresholds {PIXELS[0]:g} to {PIXELS[-1]:g} px of an image 640 px wide, "
             f"{self.points}. The best {self.max_results} estimates of an image count, by falling score each takes the "
-            f"nearest free instance, and those that took one not {at_least(MIN_VISIBILITY, self.visibility)} are "
-            "ignored; all images that show the object are pooled, precision is interpolated at 101 recalls. MSSD is "
+            f"nearest free instance, and only those count that took one {at_least(MIN_VISIBILITY, self.visibility)} "
+            "or none; all images that show the object are pooled, precision is interpolated at 101 recalls. MSSD is "
             "computed where the toolkit takes it for infinite, the poses' origins being a diameter apart."
         )
 

@@ -40,6 +40,7 @@ def claim(folder: Path, job: Job) -> None:
     rest = {"camera": header.camera.to_json(), "depth_unit": header.depth_unit, "seed": header.seed, "shards": entries}
     difference = difference or first_difference({name: document.get(name) for name in rest}, rest)
     if difference is not None:
+        require_own_schema(folder)  # an older simgen's configs lack fields, too, which would be named in its place
         raise InputError(
             f"{folder}: holds another dataset ({difference}); choose another folder with -o, "
             "or repeat the command that this one was built with."
