@@ -123,7 +123,8 @@ class PhysicsConfig:
     rules: int = PILE_RULES  # by which instances start, come back and rest; other rules, other piles
     simulated_diameter: float = 0.1
     gravity: float = 9.81
-    fall_time_step: float = 1 / 480  # until the last instance has landed; with 1 / 240 plates are driven into the floor
+    fall_time_step: float = 1 / 240  # until the last instance has landed
+    thin_fall_time_step: float = 1 / 480  # of thin ones, which longer steps drive into the floor
     fall_iterations: int = 20
     time_step: float = 1 / 120  # afterwards
     solver_iterations: int = 80  # fewer cost more: piles jitter longer before they rest

@@ -90,6 +90,7 @@ def rapier() -> PhysicsConfig:
         simulated_diameter=1.0,
         gravity=98.1,
         fall_time_step=1 / 120,
+        thin_fall_time_step=1 / 120,
         fall_iterations=8,
         time_step=1 / 60,
         solver_iterations=16,

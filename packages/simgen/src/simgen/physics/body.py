@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from evalkit.geometry import poses
+from evalkit.geometry.principal_axes import principal_axes
+
 Array = NDArray[np.float64]
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
 
@@ -20,12 +23,14 @@ class Body:
         center_of_mass: (3,) in the object's frame, meters.
         radius: of the sphere around the center of mass that holds all hulls, simulated meters.
         scale: simulated meters per meter.
+        thickness: of the thinnest hull, over the diameter 2 `radius`.
     """
 
     hulls: list[Array]
     center_of_mass: Array
     radius: float
     scale: float
+    thickness: float
 
     @classmethod
     def from_parts(cls, parts: list[Part], simulated_diameter: float) -> Body:
@@ -34,7 +39,14 @@ class Body:
         radius = max(float(np.linalg.norm(vertices - center, axis=1).max()) for vertices, _ in parts)
         scale = simulated_diameter / (2 * radius)
         hulls = [(np.asarray(vertices, float) - center) * scale for vertices, _ in parts]
-        return cls(hulls, center, radius * scale, scale)
+        return cls(hulls, center, radius * scale, scale, min(map(_thickness, hulls)) / simulated_diameter)
+
+
+def _thickness(hull: Array) -> float:
+    """The least extent of vertices (V, 3) along their principal axes."""
+    offset = hull - hull.mean(0)
+    _, axes = principal_axes(np.einsum("vi,vj->ij", offset, offset))
+    return float(np.ptp(poses.compose(offset, axes), axis=0).min())
 
 
 def center_of_mass(parts: list[Part]) -> Array:

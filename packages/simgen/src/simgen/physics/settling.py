@@ -61,6 +61,8 @@ def settle(world: World, rng: np.random.Generator) -> bool:
 
 def _undisturbed(world: World, restless: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which instances (n,) are at rest and touch none that is not."""
+    if restless.all():
+        return ~restless
     disturbed, pairs = restless.copy(), world.touching()
     for one, other in (pairs.T, pairs.T[::-1]):
         disturbed[one[restless[other]]] = True

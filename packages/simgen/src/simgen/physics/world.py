@@ -13,6 +13,7 @@ from simgen.config_sections import BinSize, PhysicsConfig
 from simgen.physics.body import Body
 
 Array = NDArray[np.float64]
+THIN = 0.08  # over the diameter
 WALL_THICKNESS = 10.0  # in object diameters, so that nothing tunnels
 
 
@@ -72,7 +73,9 @@ class World(ABC):
         Short steps with few iterations: with longer ones thin instances land within the floor, and are pushed out of
         it sideways or downwards.
         """
-        self.simulate(seconds, self.config.fall_time_step, self.config.fall_iterations)
+        thin = self.body.thickness < THIN
+        step = self.config.thin_fall_time_step if thin else self.config.fall_time_step
+        self.simulate(seconds, step, self.config.fall_iterations)
 
     def rest(self, seconds: float) -> None:
         """Let simulated seconds pass for instances that only slide and creep."""
