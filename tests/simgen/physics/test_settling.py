@@ -76,6 +76,7 @@ def test_what_has_settled_stays_where_it_is(meshes: list[trimesh.Trimesh], physi
     with world_of(body, BinSize(0.2, 0.2, 0.2), physics) as world:
         world.drop(np.array([[0.0, 0.0, 0.1 + 0.11 * i] for i in range(6)]) * body.scale, random_quaternions(rng, 6))
         assert settle(world, rng)
+        world.hold(np.zeros(6, bool))
         before = poses.apply(world.world_from_obj(), vertices_of(meshes))
         world.rest(physics.quiet_window)
         after = poses.apply(world.world_from_obj(), vertices_of(meshes))
