@@ -169,7 +169,8 @@ def test_scenes_can_be_simulated_one_by_one_in_any_order(built: Path) -> None:
     views = [view for view in ShardDataset(built) if view.view_index == 0]
     for index in (3, 0):
         scene, _ = make_scene(job, index)
-        assert np.array_equal(scene.cam_from_world[0] @ scene.world_from_obj, views[index].instances.cam_from_obj)
+        cam_from_obj = poses.compose(scene.cam_from_world[0], scene.world_from_obj)
+        assert np.array_equal(cam_from_obj, views[index].instances.cam_from_obj)
 
 
 def test_one_scene_of_a_seed_is_not_another_of_the_next_seed() -> None:
