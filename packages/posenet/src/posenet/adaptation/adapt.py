@@ -34,8 +34,8 @@ log = logging.getLogger(__name__)
 
 FEWEST_FRAMES = 3
 HELD_OUT_EVERY = 4  # frames; the fourth of each is held out
-ROUNDS = 3
-RATE = 0.3  # of the learning rate that trained the network from nothing
+ROUNDS = 2
+RATE = 0.2  # of the learning rate that trained the network from nothing
 FEWEST_LABELS = 5
 
 Progress = Callable[[str, float], None]
@@ -121,8 +121,10 @@ class _Adaptation:
         self.network.bf16 = supports_bf16(self._device)
         learner = Learner(self.network, config, ALONE.fabric(self._device, None), ALONE)
         labels, step, spent = [], 0, 0.0
+        known: dict[int, LabeledImage] = {}
         for turn in range(ROUNDS):
-            images = self._labeled(numbers, turn)
+            known = self._labeled(numbers, turn, known)
+            images = [image for image in known.values() if image.count]
             labels.append(sum(image.count for image in images))
             budget = Budget(minutes=minutes, spent_before=spent)
             while (done := budget.progress(step)) < (turn + 1) / ROUNDS:
@@ -140,22 +142,21 @@ class _Adaptation:
         self.network.eval()
         return labels
 
-    def _labeled(self, numbers: list[int], turn: int) -> list[LabeledImage]:
-        predictor, images = Predictor(self.network, refine=True), []
+    def _labeled(self, numbers: list[int], turn: int, before: dict[int, LabeledImage]) -> dict[int, LabeledImage]:
+        """Labels of the images, by number; what was verified `before` stays."""
+        predictor, source, images = Predictor(self.network, refine=True), self.source, {}
         for count, number in enumerate(numbers):
             self.progress(f"labeling, round {turn + 1} of {ROUNDS}", count / len(numbers))
-            source = self.source
-            image = label(predictor, self.verifier, source.depth(number), source.cameras[number], source.names[number])
-            images.append(image)
-        usable = [image for image in images if image.count]
-        total = sum(image.count for image in usable)
-        log.info("Round %d: %d verified poses on %d of %d images.", turn + 1, total, len(usable), len(numbers))
+            seen = source.depth(number), source.cameras[number], source.names[number]
+            images[number] = label(predictor, self.verifier, *seen, before.get(number))
+        total = sum(image.count for image in images.values())
+        log.info("Round %d: %d verified poses on %d images.", turn + 1, total, len(numbers))
         if total < FEWEST_LABELS:
             raise InputError(
-                f"{self.source.path}: {total} poses of the model are verified by these images, too few to learn from; "
+                f"{source.path}: {total} poses of the model are verified by these images, too few to learn from; "
                 "'posenet check' says why."
             )
-        return usable
+        return images
 
 
 def _gentle(config: Config) -> Config:

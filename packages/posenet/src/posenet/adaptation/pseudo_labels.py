@@ -22,7 +22,8 @@ from posenet.prediction.any_camera import trained_grid
 from posenet.prediction.predictor import Predictor
 
 Array = NDArray[np.float64]
-LEAST_SCORE = 0.1  # of a pose that may be a part after all
+LEAST_SCORE = 0.02  # of poses that are looked at: what the image verifies is a label, whatever its score
+UNSURE = 0.1  # the score from which what it does not verify may be a part after all
 LEAST_AGREEING = 0.3  # of the silhouette; verified parts seen less are not learned from
 FEWEST_PIXELS = 20
 
@@ -47,6 +48,11 @@ class LabeledImage:
         """How many instances are learned."""
         return int((self.visibility > 0).sum())
 
+    @property
+    def learned(self) -> Tensor:
+        """The poses (m, 4, 4) that are learned."""
+        return self.cam_from_obj[self.visibility > 0]
+
     def upside_down(self) -> LabeledImage:
         """The same scene as the camera sees it turned by 180 degrees about its axis."""
         width, height = self.camera.width, self.camera.height
@@ -60,21 +66,32 @@ class LabeledImage:
 
 
 def label(
-    predictor: Predictor, verifier: Verifier, depth: NDArray[np.float32], camera: Camera, name: str
+    predictor: Predictor,
+    verifier: Verifier,
+    depth: NDArray[np.float32],
+    camera: Camera,
+    name: str,
+    before: LabeledImage | None = None,
 ) -> LabeledImage:
-    """Labels from what `predictor`, which refines, finds in an image (height, width) in meters of `camera`."""
+    """Labels from what `predictor`, which refines, finds in an image (height, width) in meters of `camera`.
+
+    What an earlier round had verified (`before`) stays a label: a network that learns may find less for a while.
+    """
     found = predictor.predict_batch([depth], camera, [name])[0]
-    image = PredictionImage(name, found.cam_from_obj, found.score)
+    known = np.zeros((0, 4, 4)) if before is None else before.learned.double().numpy()
+    poses = np.concatenate([known, found.cam_from_obj])
+    image = PredictionImage(name, poses, np.concatenate([np.ones(len(known)), found.score]))
     verified = verify_image(image, depth, camera, verifier, LEAST_SCORE)
     grid = trained_grid(depth, camera, predictor.network)
     scale = np.tile([grid.width / camera.width, grid.height / camera.height], 2)
     cam_from_obj, boxes, visibility = [], [], []
-    for row, part, other in zip(verified.row, verified.evidence, verified.duplicate_of, strict=True):
-        if other is not None:
-            continue
+    rows = zip(verified.row, verified.score, verified.evidence, verified.duplicate_of, strict=True)
+    for row, score, part, other in rows:
         sure = _is_sure(part)
+        if other is not None or (not sure and (row < len(known) or score < UNSURE)):
+            continue
         cam_from_obj.append(part.cam_from_obj)
-        boxes.append((_seen_box(part, camera) if sure else found.boxes[row]) * scale)
+        boxes.append((_seen_box(part, camera) if sure else found.boxes[row - len(known)]) * scale)
         visibility.append(max(part.agreeing, LEAST_AGREEING) if sure else 0.0)
     return LabeledImage(
         resample(torch.from_numpy(depth), grid),
