@@ -11,6 +11,7 @@ from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.refinement import refiner as refine
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, FOOTPRINT, depth_evidence, explained_before
+from posenet.refinement.icp import DAMPING, LEAST_NORMAL_COSINE, icp
 from posenet.refinement.judge import FORMAT, Judge, Regression, probability
 from posenet.refinement.refiner import Fits, Fitting, Refiner
 
@@ -293,3 +294,44 @@ def test_the_best_of_each_group_are_those_of_a_plain_loop() -> None:
             for row in sorted(np.nonzero(group == one)[0], key=lambda row: -evidence[row])[:count]
         }
         assert sorted(refine._best_of_each(evidence, group, count).tolist()) == sorted(plain)
+
+
+def plain_step(
+    pose: np.ndarray, refiner: Refiner, depth: np.ndarray, normals: np.ndarray, reach: float
+) -> tuple[np.ndarray, int]:
+    """One step of ICP as the formulas have it, in NumPy, and how many points drew."""
+    size, center = refiner.model.diameter, refiner.model.centroid
+    turned = (refiner.points - center) @ pose[:3, :3].T
+    middle = pose[:3, :3] @ center + pose[:3, 3]
+    where, facing = turned + middle, refiner.normals @ pose[:3, :3].T
+    u, v = np.floor(CAMERA.project(where) + 0.5).astype(int).T
+    u, v = np.clip(u, 0, CAMERA.width - 1), np.clip(v, 0, CAMERA.height - 1)
+    seen, slope = depth[v, u], normals[v, u]
+    drawn = ((facing * where).sum(1) < 0) & (seen > 0) & (np.abs(seen - where[:, 2]) <= reach)
+    drawn &= (slope * facing).sum(1) >= LEAST_NORMAL_COSINE
+    surface = CAMERA.point_map(depth)[v, u]
+    residual = ((surface - where) * slope).sum(1)[drawn] / size
+    weight = 1.0 / (1.0 + (residual * size / (0.3 * reach)) ** 2)
+    rows = np.concatenate([np.cross(turned, slope) / size, slope], 1)[drawn]
+    a = (weight[:, None] * rows).T @ rows
+    step = np.linalg.solve(a + DAMPING * np.trace(a) * np.eye(6), (weight[:, None] * rows).T @ residual)
+    turn = poses.from_axis_angle(step[:3], np.linalg.norm(step[:3]))
+    rotation = turn @ pose[:3, :3]
+    return poses.from_rotation_translation(rotation, middle + step[3:] * size - rotation @ center), int(drawn.sum())
+
+
+def test_the_kernel_takes_the_step_that_the_formulas_take(scene: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+    model, pose, depth = scene
+    refiner, intrinsics = Refiner(model), np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+    normals, reach = refine.observed_normals(depth, intrinsics), 0.1 * model.diameter
+    starts = disturbed(pose, np.random.default_rng(3), 10, 0.002, np.radians(6))
+    moved = starts.copy()
+    icp(
+        moved, refiner.points - model.centroid, refiner.normals, model.centroid, depth, normals, intrinsics,
+        np.array([reach]), model.diameter,
+    )  # fmt: skip
+    for start, one in zip(starts, moved, strict=True):
+        wanted, drawn = plain_step(start, refiner, depth, normals, reach)
+        assert drawn > 50
+        np.testing.assert_allclose(one, wanted, atol=1e-6)
+        assert np.abs(one - start).max() > 1e-4

@@ -133,6 +133,8 @@ class Fitting:
         self.hypotheses, self.score, self.group = hypotheses, np.asarray(score, float), group
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.normals = observed_normals(depth, self.intrinsics)
+        # Depth and normal of a pixel side by side in memory: what is read of one is in the cache for the other.
+        self.together = np.concatenate([depth[..., None], self.normals], -1)
         self.tolerance = TOLERANCE * refiner.model.diameter
 
     def search(self) -> tuple[Fits, Fits]:
@@ -151,7 +153,8 @@ class Fitting:
         model, points, normals = self.refiner.model, self.refiner.points, self.refiner.normals
         moved, center, d = np.array(cam_from_obj), np.ascontiguousarray(model.centroid), model.diameter
         reach = np.linspace(*REACH, ITERATIONS) * d
-        icp(moved, points - center, normals, center, self.depth, self.normals, self.intrinsics, reach, d)
+        seen, slope = self.together[..., 0], self.together[..., 1:]
+        icp(moved, points - center, normals, center, seen, slope, self.intrinsics, reach, d)
         moved[:, :3, :3] = poses.nearest_rotation(moved[:, :3, :3])
         agreement, violation = depth_evidence(
             moved, points, normals, self.depth, self.normals, self.intrinsics, self.tolerance
