@@ -12,6 +12,7 @@ from simgen.physics.body import Body
 from simgen.physics.world import WALL_THICKNESS, World
 
 Array = NDArray[np.float64]
+FRICTION_RULE = rapier3d.CoefficientCombineRule.MULTIPLY  # as Bullet combines two surfaces'
 
 
 class RapierWorld(World):
@@ -68,7 +69,8 @@ class RapierWorld(World):
         self._world.wake_up_all()
 
     def _material(self, collider: rapier3d.ColliderBuilder) -> rapier3d.ColliderBuilder:
-        return collider.friction(self.config.friction).restitution(0.0).contact_skin(self.config.contact_margin)
+        collider = collider.friction(self.config.friction).friction_combine_rule(FRICTION_RULE)
+        return collider.restitution(0.0).contact_skin(self.config.contact_margin)
 
 
 def _isometry(center: Array, quaternion: Array) -> rapier3d.Isometry3:
