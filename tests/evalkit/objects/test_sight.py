@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import Delaunay
 
 from evalkit.geometry import poses
 from evalkit.objects.depth_views import DepthViews, dense_samples
+from evalkit.objects.sight import telling_elements, within_circle
+from evalkit.objects.symmetry import Symmetry, _closure
 from evalkit.objects.symmetry_detection import detect_symmetry, resolve_symmetry
 from evalkit.objects.symmetry_fit import same_axis
 
@@ -125,8 +128,29 @@ def test_a_solid_has_no_gaps_in_any_view() -> None:
     cube = trimesh.creation.box((1, 1, 1))
     views = DepthViews(cube.vertices / np.sqrt(0.75), cube.faces, 120)
     for rotation in poses.random_rotations(np.random.default_rng(1), 10):
-        filled = np.isfinite(views.image(rotation))
+        filled = np.isfinite(views.from_both_ends(rotation)[0])
         assert filled.sum() > 3000
         for row in filled[filled.any(1)]:  # a convex body covers one run of pixels in each row
             first, last = np.flatnonzero(row)[[0, -1]]
             assert row[first : last + 1].all()
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.0, 3.7])
+def test_the_extremes_within_a_circle_are_those_of_each_pixels_neighbors(radius: float) -> None:
+    """Against scipy's filters, which take any neighborhood and ten times as long."""
+    images = np.random.default_rng(0).normal(size=(2, 17, 23)).astype(np.float32)
+    reach = int(radius)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    circle = x * x + y * y <= radius**2
+    for ours, theirs in ((np.minimum, minimum_filter), (np.maximum, maximum_filter)):
+        expected = [theirs(image, footprint=circle, mode="constant", cval=np.inf) for image in images]
+        assert np.array_equal(within_circle(images, radius, ours), expected)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cyclic:2", "cyclic:4", "cyclic:30", "dihedral:2", "dihedral:7", "tetrahedral", "octahedral", "icosahedral"],
+)
+def test_the_elements_that_are_looked_at_generate_their_group(name: str) -> None:
+    group = Symmetry.parse(name)
+    assert len(_closure(list(telling_elements(group)))) == len(group.rotations)

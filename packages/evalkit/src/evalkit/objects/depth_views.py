@@ -1,7 +1,7 @@
 """Depth images of a surface from far away: what the symmetry test and the search for hidden faces look at.
 
 The surface is drawn as points, dense enough that no pixel which it covers is missed. That is a few lines of numpy,
-needs no renderer, and takes some ten milliseconds an image.
+needs no renderer, and takes some milliseconds for two images, one from either end of a line of sight.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 STEP = 0.7  # pixels between samples: a grid of that step has a point in every circle of a pixel's width
 
 
@@ -28,23 +29,30 @@ class DepthViews:
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, side: int) -> None:
         self.side, self._half = side, (side - 2) / 2
         points, self.face, self.inner = dense_samples(vertices, faces, STEP / self._half)
-        self._points = np.ascontiguousarray(points.T, np.float32)
+        inside = points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1.0)  # rounding may leave the ball
+        self._points = np.ascontiguousarray(inside.T, np.float32)
 
-    def project(self, cam_from_obj: Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def project(self, cam_from_obj: Array) -> tuple[NDArray[np.intp], Image]:
         """Each sample's flat pixel (n,) and its depth (n,), smaller is nearer, for a rotation (3, 3)."""
         x, y, z = self._points
         u, v, depth = (a * x + b * y + c * z for a, b, c in cam_from_obj.astype(np.float32))  # no BLAS: bits that hold
-        # clipped, for rounding may leave the ball
         half, middle = np.float32(self._half), np.float32(self.side / 2)
-        column, row = (np.clip((w * half + middle).astype(np.int32), 0, self.side - 1) for w in (u, v))
-        return row * np.int32(self.side) + column, depth
+        column, row = ((w * half + middle).astype(np.intp) for w in (u, v))
+        return row * self.side + column, depth
 
-    def image(self, cam_from_obj: Array) -> NDArray[np.float32]:
-        """Depth (side, side) seen along z after the rotation (3, 3), in radii; infinite where there is nothing."""
-        pixel, depth = self.project(cam_from_obj)
-        nearest = np.full(self.side**2, np.inf, np.float32)
-        np.minimum.at(nearest, pixel, depth)
-        return nearest.reshape(self.side, self.side)
+    def from_both_ends(self, cam_from_obj: Array) -> Image:
+        """Depth images (2, side, side) along z and against it, after the rotation (3, 3), in radii.
+
+        A pixel of both is the same line. Smaller is nearer; infinite where there is nothing.
+        """
+        return self.nearest(*self.project(cam_from_obj)).reshape(2, self.side, self.side)
+
+    def nearest(self, pixel: NDArray[np.intp], depth: Image) -> Image:
+        """The least depth (2, side²) on each pixel's line, along it and against it, of what :meth:`project` gives."""
+        images = np.full((2, self.side**2), np.inf, np.float32)
+        np.minimum.at(images[0], pixel, depth)
+        np.minimum.at(images[1], pixel, -depth)
+        return images
 
 
 def dense_samples(

@@ -15,7 +15,7 @@ from evalkit.objects.depth_views import DepthViews, sphere_directions
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SIDE = 256  # pixels of a view across the bounding box's diagonal: a wall of 0.3 % of it hides what is behind
-DIRECTIONS = 48
+LINES = 48  # of sight, each looked along from both ends
 LEAST_SEEN = 1e-3  # share of a face's samples and views: less are pixels that the outline only half covers
 FACING = 0.7  # cosine between face and view from which on a sample counts that is not its pixel's very nearest
 CREVICES = 0.01  # of the area: less than this, of bodies that are seen, is no hidden surface but cracks between views
@@ -58,17 +58,17 @@ def _seen(vertices: Array, faces: NDArray[np.integer]) -> Mask:
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    votes, nearest = np.zeros(len(faces), np.int64), np.empty(SIDE * SIDE, np.float32)
-    for cam_from_obj in poses.rotation_between(sphere_directions(DIRECTIONS), [0.0, 0.0, 1.0]):
+    votes = np.zeros(len(faces), np.int64)
+    for cam_from_obj in poses.rotation_between(sphere_directions(2 * LINES)[:LINES], [0.0, 0.0, 1.0]):
         pixel, depth = views.project(cam_from_obj)
-        nearest.fill(np.inf)
-        np.minimum.at(nearest, pixel, depth)
+        along, against = views.nearest(pixel, depth)
+        pixel, depth = pixel[voters], depth[voters]
         cosine = np.abs((normals * cam_from_obj[2]).sum(1))
         slope = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, FACING)
         behind = np.where(cosine > FACING, 2.0 / SIDE * slope, 0.0)  # a slanted face's own span within a pixel
-        in_front = depth[voters] - nearest[pixel[voters]] <= behind[face]
-        votes += np.bincount(face[in_front], minlength=len(faces))
-    return np.asarray(votes > LEAST_SEEN * DIRECTIONS * np.bincount(face, minlength=len(faces)))
+        for in_front in (depth - along[pixel] <= behind[face], -depth - against[pixel] <= behind[face]):
+            votes += np.bincount(face[in_front], minlength=len(faces))
+    return np.asarray(votes > LEAST_SEEN * 2 * LINES * np.bincount(face, minlength=len(faces)))
 
 
 def _bodies(vertices: Array, faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], bool]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -199,13 +199,20 @@ def _group_in_symmetry_frame(name: str) -> Array:
     if name == "revolution-flip":
         return np.stack([np.eye(3), flip])
     if name in ("tetrahedral", "octahedral", "icosahedral"):
-        return _closure(_POLYHEDRAL_GENERATORS[name])
+        return _polyhedral(name)
     match = re.fullmatch(r"(cyclic|dihedral):(\d{1,4})", name)
     if match is None or not 1 <= int(match[2]) <= MAX_FOLD:
         raise InputError(f"symmetry '{name}' is not known; use {SYNTAX} (N from 1 to {MAX_FOLD}).")
     fold = int(match[2])
     turns = poses.from_axis_angle([0.0, 0.0, 1.0], np.arange(fold) * (2 * np.pi / fold))
     return turns if match[1] == "cyclic" else np.concatenate([turns, turns @ flip])
+
+
+@cache
+def _polyhedral(name: str) -> Array:
+    elements = _closure(_POLYHEDRAL_GENERATORS[name])
+    elements.setflags(write=False)  # it is shared
+    return elements
 
 
 def _closure(generators: list[Array]) -> Array:

@@ -17,12 +17,7 @@ from evalkit.objects.outside import seen_from_outside
 from evalkit.objects.sight import Sight
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import SYNTAX, Symmetry
-from evalkit.objects.symmetry_fit import (
-    SymmetryCandidate,
-    fit,
-    noise_stretch,
-    snapped,
-)
+from evalkit.objects.symmetry_fit import SymmetryCandidate, fit, snapped
 from evalkit.objects.symmetry_search import SymmetrySearch, group_size
 
 Array = NDArray[np.float64]
@@ -93,7 +88,7 @@ def _looked_at(vertices: ArrayLike, faces: ArrayLike) -> tuple[Surface, Sight]:
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     faces = faces[seen_from_outside(vertices, faces)]
     surface = Surface.from_mesh(vertices, faces)
-    return surface, Sight(vertices, faces, surface, noise_stretch(surface))
+    return surface, Sight(vertices, faces, surface)
 
 
 def _parse_axis(text: str, spec: str) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.principal_axes import principal_axes
+from evalkit.objects.depth_views import sphere_directions
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import Symmetry
 
@@ -23,6 +24,7 @@ NOISE_LEVERS = 300.0  # lever that noise asks for, in roughnesses: a noise of 0.
 MOST_STRETCHED = 1.5  # what noise may stretch a tolerance by: a feature of 3 % of the diameter is no noise
 HANDFUL = 6  # samples that may deviate more: near-misses of the sampled surface
 DENSE = 24_000  # surface points of a final verification
+ROUGHLY = 4000  # surface points that tell how thick a part is
 ROUGH_LIMIT = 0.12  # mean rough distance beyond which a direction is not worth refining
 SNAP_ANGLE = np.radians(1.0)
 
@@ -61,7 +63,11 @@ class SymmetryCandidate:
 
 def verify(surface: Surface, symmetry: Symmetry, points: Array) -> SymmetryCandidate:
     """Judge a hypothesis by the deviation of some `points` (n, 3) of the surface."""
-    distance, relative = deviation(surface, symmetry, points)
+    return judged(surface, symmetry, *deviation(surface, symmetry, points))
+
+
+def judged(surface: Surface, symmetry: Symmetry, distance: Array, relative: Array) -> SymmetryCandidate:
+    """A hypothesis and its evidence, from the :func:`deviation` of some points: distances (n,) and relative ones."""
     return SymmetryCandidate(
         symmetry,
         typical=float(np.quantile(distance, 0.99)) * surface.radius,
@@ -78,13 +84,8 @@ def deviation(surface: Surface, symmetry: Symmetry, points: Array) -> tuple[Arra
     """
     elements = spread_elements(symmetry, len(points))
     distance = surface.distance(turned(elements, points))
-    lever = _lever(symmetry, elements, surface.points)
+    lever = _lever(symmetry, elements, surface.points[:ROUGHLY])
     return distance, distance / np.clip(NOISE_LEVERS * surface.roughness, lever, MOST_STRETCHED * lever)
-
-
-def noise_stretch(surface: Surface) -> float:
-    """What noise stretches the tolerances of sight by: more than those of distances, for outlines show its peaks."""
-    return float(np.clip(4 * NOISE_LEVERS * surface.roughness, 1.0, 2.0))
 
 
 def _lever(symmetry: Symmetry, elements: Array, points: Array) -> Array:
@@ -238,7 +239,5 @@ def same_axis(a: Array, b: Array, tolerance: float = np.radians(4.0)) -> bool:
 
 
 def hemisphere(count: int) -> Array:
-    """Directions (count, 3) spread evenly over half a sphere (Fibonacci's spiral)."""
-    z = (np.arange(count) + 0.5) / count
-    angle = np.arange(count) * (np.pi * (3 - np.sqrt(5)))
-    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
+    """Directions (count, 3) spread evenly over half a sphere."""
+    return sphere_directions(2 * count)[:count]

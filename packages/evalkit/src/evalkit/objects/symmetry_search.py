@@ -24,6 +24,7 @@ from evalkit.objects.symmetry_fit import (
     about,
     deviation,
     hemisphere,
+    judged,
     refine,
     same_axis,
     scan,
@@ -125,9 +126,9 @@ class SymmetrySearch:
         revolution = self._test(about("revolution", axis))
         if revolution.accepted:
             return revolution.symmetry
-        self._remember_witnesses(about("revolution", axis))
-        promises = {fold: self._promise(about(f"cyclic:{fold}", axis)) for fold in folds}
-        likely = sorted((promises[fold] > 1.0, -fold) for fold in folds if promises[fold] <= MARGIN)
+        self._remember_witnesses(about("revolution", axis), self.surface.points[: 3 * QUICK])
+        promises = self._promises(axis, folds)
+        likely = sorted((excess > 1.0, -fold) for fold, excess in promises.items())
         left = [-negative for _, negative in likely] or list(folds[:1])
         if revolution.only_seen_to_be_wrong:
             left = self._in_sight(axis, left)
@@ -139,6 +140,20 @@ class SymmetrySearch:
             if spin.only_seen_to_be_wrong:
                 left = self._in_sight(axis, left)
         return None
+
+    def _promises(self, axis: Array, folds: range) -> dict[int, float]:
+        """The excess of those of the ascending `folds` about `axis` that are worth refining.
+
+        A group holds the groups of its order's divisors, so that most folds are ruled out by a smaller one.
+        """
+        promises: dict[int, float] = {}
+        hopeless: list[int] = []
+        for fold in folds:
+            if not any(fold % divisor == 0 for divisor in hopeless):
+                promises[fold] = self._promise(about(f"cyclic:{fold}", axis))
+                if promises[fold] > MARGIN:
+                    hopeless.append(fold)
+        return {fold: excess for fold, excess in promises.items() if excess <= MARGIN}
 
     def _in_sight(self, axis: Array, folds: list[int]) -> list[int]:
         """Those of the folds that look right where the last hypothesis was seen to be wrong."""
@@ -186,11 +201,13 @@ class SymmetrySearch:
         if telling.worst_excess > max(1.0, candidate.worst_excess):
             candidate = replace(candidate, worst=telling.worst, worst_excess=telling.worst_excess)
         elif candidate.excess <= MARGIN:
-            candidate = self._verify(refined, DENSE)
+            points = self.surface.points[:DENSE]
+            distance, relative = deviation(self.surface, refined, points)
+            candidate = judged(self.surface, refined, distance, relative)
             if candidate.accepted:
                 candidate = replace(candidate, sight_excess=self.sight.excess(refined))
             else:
-                self._remember_witnesses(refined)
+                self._keep_witnesses(points, relative)
         self.tried.append(candidate)
         return candidate
 
@@ -205,11 +222,13 @@ class SymmetrySearch:
         excess = self._on_witnesses(symmetry).worst_excess
         return excess if excess > MARGIN else max(excess, self._verify(symmetry, QUICK).excess)
 
-    def _remember_witnesses(self, refuted: Symmetry) -> None:
-        """Keep the points that land farthest off the surface once turned."""
-        points = self.surface.points[:DENSE]
-        _, relative = deviation(self.surface, refuted, points)
-        self.witnesses = np.concatenate([points[np.argsort(-relative)[:WITNESSES]], self.witnesses])[: 4 * WITNESSES]
+    def _remember_witnesses(self, refuted: Symmetry, points: Array) -> None:
+        """Keep those of the points (n, 3) that land farthest off the surface once turned."""
+        self._keep_witnesses(points, deviation(self.surface, refuted, points)[1])
+
+    def _keep_witnesses(self, points: Array, relative: Array) -> None:
+        farthest = points[np.argsort(-relative)[:WITNESSES]]
+        self.witnesses = np.concatenate([farthest, self.witnesses])[: 4 * WITNESSES]
 
 
 def _circle(axis: Array) -> Array:
