@@ -58,7 +58,7 @@ def _depth_below_surface(vertices: Array, faces: NDArray[np.integer]) -> NDArray
     for turn in poses.rotation_between(sphere_directions(VIEWS), [0.0, 0.0, 1.0]):
         seen = cells @ turn.T
         pixel = np.clip((seen[:, :2] * (SIDE - 2) / 2 + SIDE / 2).astype(int), 0, SIDE - 1)
-        surface = views.image(turn)[pixel[:, 1], pixel[:, 0]]
+        surface = views.from_both_ends(turn)[0][pixel[:, 1], pixel[:, 0]]
         deep = np.minimum(deep, seen[:, 2] - surface)
     return np.asarray(np.maximum(deep, 0.0).reshape(CELLS, CELLS, CELLS), np.float32)
 
