@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from evalkit.commands.group import Commands
 from evalkit.datasets.scene import Instances, View
 from evalkit.datasets.shard_folder import shard_name
-from evalkit.datasets.shard_format import ShardHeader
+from evalkit.datasets.shard_format import INSTANCE_DTYPES, INSTANCE_FIELDS, INSTANCE_SHAPES, ShardHeader
 from evalkit.datasets.shard_writer import ShardWriter
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
@@ -53,9 +53,8 @@ def shards(tmp_path: Path) -> Path:
         "box", *(getattr(trimesh.creation.box((0.1, 0.1, 0.1)), n) for n in ("vertices", "faces"))
     )
     nobody = Instances(
-        np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros(0, np.float32), np.zeros(0, np.int32),
-        np.zeros(0, np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 2), np.float32),
-    )  # fmt: skip
+        *(np.zeros((0, *INSTANCE_SHAPES.get(name, ())), INSTANCE_DTYPES[name]) for name in INSTANCE_FIELDS)
+    )
     depth = np.full((48, 64), 4000, np.uint16)
     folder = tmp_path / "shards"
     with ShardWriter(folder / shard_name(0), ShardHeader(CAMERA, 1e-4, model), 2) as writer:
