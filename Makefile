@@ -29,11 +29,15 @@ $(STAMP): $(PACKAGES:%=packages/%/pyproject.toml) requirements-dev.txt constrain
 demo: $(STAMP) ## bunny mesh -> piles -> training -> poses -> AP and pictures, about a quarter of an hour
 	$(BIN)/python benchmarks/demo.py
 
-test: $(STAMP) ## the tests, in less than a quarter of an hour
-	$(BIN)/python -m pytest -m "not slow"
+# A process a core, of one thread each (more would wait for each other); four at most, for each takes 2 GB.
+PYTEST := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile \
+	--max-worker-restart 0
+
+test: $(STAMP) ## the tests, in some ten minutes on two cores
+	$(PYTEST) -m "not slow"
 
 test-all: $(STAMP) ## the thorough rest as well
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 lint: $(STAMP) ## ruff and mypy
 	$(BIN)/ruff format --check .
