@@ -24,6 +24,8 @@ from evalkit.errors import InputError
 from evalkit.geometry import poses
 from simgen.building.scenes_file import simulate
 from simgen.commands.cli import cli
+from simgen.commands.options import DEFAULT_SHARE
+from simgen.objects.foreign_things import parse_distractors
 from simgen.objects.prepare import prepare_object
 from simgen.presets import debug
 from simgen.scenes.file import SCHEMA, job_of_scenes, read_scenes, write_scenes
@@ -31,7 +33,10 @@ from simgen.scenes.job import Job
 from simgen.scenes.journal import SUFFIX, SimulatedScenes, scene_journal
 from simgen.scenes.plan import plan
 
-OPTIONS = ("--object", "brick", "--preset", "debug", "--scenes", "3", "--views", "2", "--workers", "1")
+OPTIONS = (
+    "--object", "brick", "--preset", "debug", "--scenes", "3", "--views", "2", "--distractors", "builtin",
+    "--workers", "1",
+)  # fmt: skip
 
 
 def run(*arguments: object) -> Result:
@@ -47,7 +52,8 @@ def refusal(result: Result) -> str:
 
 def brick_job(**changes: Any) -> Job:
     prepared = prepare_object("brick")
-    return plan(replace(debug(), scenes=3, views=2, **changes), prepared.model, prepared.convex_parts)
+    config = replace(debug(), scenes=3, views=2, distractors=parse_distractors("builtin", DEFAULT_SHARE), **changes)
+    return plan(config, prepared.model, prepared.convex_parts)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pybullet_data
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
@@ -33,6 +32,8 @@ class BuiltinObject:
 
 def bunny() -> Mesh:
     """PyBullet's bunny.obj (902 faces), one round of Loop subdivision (3608), turned from y up to z up, 10 cm long."""
+    import pybullet_data  # only here: the other objects, distractors among them, are drawn where PyBullet is not
+
     mesh = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "bunny.obj", process=False)
     vertices, faces = trimesh.remesh.subdivide_loop(mesh.vertices, mesh.faces, iterations=1)
     x, y, z = np.asarray(vertices, float).T * BUNNY_METERS_PER_UNIT

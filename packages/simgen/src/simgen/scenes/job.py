@@ -76,7 +76,7 @@ class Job:
         Raises:
             InputError: a file of theirs is missing, or not what it was.
         """
-        from simgen.objects.foreign_things import things_of  # only here: the built-in shapes come with PyBullet
+        from simgen.objects.foreign_things import things_of  # only here: it brings trimesh
 
         found = self.config.distractors
         return (
