@@ -1,14 +1,17 @@
-"""What is made ahead is what would have been made at the time."""
+"""What other processes make ahead is what would have been made at the time."""
 
 from __future__ import annotations
 
-import threading
+import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from evalkit.errors import InputError
 from posenet.config import preset
 from posenet.training.batches import Batches
 from posenet.training.dataset import Frames
@@ -16,42 +19,46 @@ from posenet.training.prefetch import Prefetch
 from posenet.training.rank import ALONE
 
 
-def test_each_number_is_made_once_and_in_any_thread_the_same() -> None:
-    made, lock = [], threading.Lock()
-
-    def make(number: int) -> int:
-        with lock:
-            made.append(number)
-        return number * number
-
-    ahead = Prefetch(make, 3)
-    assert [ahead[number] for number in range(20)] == [number**2 for number in range(20)]
-    ahead.close()
-    assert sorted(set(made)) == sorted(made)
+def _square(number: int) -> tuple[int, int]:
+    if number == 13:
+        raise ValueError("thirteen")
+    if number == 17:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number**2, os.getpid()
 
 
-def test_a_jump_gives_what_is_asked_for() -> None:
-    ahead = Prefetch(str, 2)
-    assert [ahead[number] for number in (0, 7, 3, 4)] == ["0", "7", "3", "4"]
+@pytest.fixture()
+def ahead() -> Iterator[Prefetch[tuple[int, int]]]:
+    prefetch = Prefetch(_square, ahead=3, workers=2)
+    yield prefetch
+    prefetch.close()
 
 
-def test_an_error_comes_when_its_item_is_asked_for() -> None:
-    def make(number: int) -> int:
-        if number == 2:
-            raise ValueError("two")
-        return number
+def test_items_come_in_the_order_asked_for_and_are_made_elsewhere(ahead: Prefetch[tuple[int, int]]) -> None:
+    numbers = [0, 1, 2, 3, 7, 4, 5]  # with a jump and back
+    made = [ahead[number] for number in numbers]
+    assert [square for square, _ in made] == [number**2 for number in numbers]
+    assert os.getpid() not in {process for _, process in made}
 
-    ahead = Prefetch(make, 3)
-    assert [ahead[0], ahead[1]] == [0, 1]
-    with pytest.raises(ValueError, match="two"):
-        ahead[2]
+
+def test_an_error_comes_when_its_item_is_asked_for(ahead: Prefetch[tuple[int, int]]) -> None:
+    assert ahead[11][0] == 121 and ahead[12][0] == 144
+    with pytest.raises(ValueError, match="thirteen"):
+        ahead[13]
+
+
+def test_a_killed_process_is_a_sentence(ahead: Prefetch[tuple[int, int]]) -> None:
+    with pytest.raises(InputError, match="was killed"):
+        ahead[17]
 
 
 def test_batches_made_ahead_are_those_made_in_turn(debug_shards: Path) -> None:
-    def batches() -> Batches:
-        return Batches(Frames(debug_shards), np.arange(6), preset("small").train, 0, ALONE)
-
-    one, other = batches(), batches()
-    ahead = Prefetch(other._made, 4)
-    for step in range(6):
-        assert torch.equal(one.load(step, torch.device("cpu")).depth, ahead[step].depth)
+    batches = Batches(Frames(debug_shards), np.arange(6), preset("small").train, 0, ALONE)
+    ahead = Prefetch(batches.packed, ahead=4, workers=2)
+    cpu = torch.device("cpu")
+    for step in range(4):
+        here, elsewhere = batches.load(step, cpu), ahead[step].unpacked(cpu)
+        assert torch.equal(here.depth, elsewhere.depth) and here.seeds == elsewhere.seeds
+        for mine, other in zip(here[2:5], elsewhere[2:5], strict=True):
+            assert all(torch.equal(a, b) for a, b in zip(mine, other, strict=True))
+    ahead.close()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from posenet.config import TrainConfig
@@ -21,17 +23,35 @@ class Batch(NamedTuple):
     seeds: tuple[int, ...]  # of what is left to chance in each image
 
     def to(self, device: torch.device) -> Batch:
-        return self._replace(
-            depth=self.depth.to(device),
-            intrinsics=self.intrinsics.to(device),
-            poses=[part.to(device) for part in self.poses],
-            boxes=[part.to(device) for part in self.boxes],
-            visibility=[part.to(device) for part in self.visibility],
-        )
+        return self.packed().unpacked(device)
+
+    def packed(self) -> PackedBatch:
+        """The same as a handful of arrays."""
+        lists = (torch.cat(part).numpy() for part in (self.poses, self.boxes, self.visibility))
+        counts = tuple(len(part) for part in self.boxes)
+        return PackedBatch(self.depth.numpy(), self.intrinsics.numpy(), *lists, counts, self.seeds)
 
     def draws(self) -> list[torch.Generator]:
         """A fresh generator an image, on the CPU: a seed gives the same draws on every device and in any company."""
         return [torch.Generator().manual_seed(seed) for seed in self.seeds]
+
+
+class PackedBatch(NamedTuple):
+    """A :class:`Batch` as few arrays, which travel between processes and to a GPU in little time."""
+
+    depth: NDArray[np.float32]  # (B, H, W)
+    intrinsics: NDArray[np.float32]  # (B, 4)
+    poses: NDArray[np.float32]  # (N, 4, 4) of all images, one after the other
+    boxes: NDArray[np.float32]  # (N, 4)
+    visibility: NDArray[np.float32]  # (N,)
+    counts: tuple[int, ...]  # instances of each image
+    seeds: tuple[int, ...]
+
+    def unpacked(self, device: torch.device) -> Batch:
+        """The batch, its tensors on `device`."""
+        depth, intrinsics, *lists = (torch.from_numpy(part).to(device) for part in self[:5])
+        poses, boxes, visibility = (list(part.split(self.counts)) for part in lists)
+        return Batch(depth, intrinsics, poses, boxes, visibility, self.seeds)
 
 
 class RegionSample(NamedTuple):

@@ -6,19 +6,20 @@ All of it follows from the seed and the number of the step, so a resumed run see
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from posenet.config import TrainConfig
-from posenet.network.targets import Batch
+from posenet.network.targets import Batch, PackedBatch
 from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.dataset import Frames, epoch_order, step_seeds
 from posenet.training.prefetch import Prefetch
 from posenet.training.rank import Rank
 
-MOST_AHEAD = 12  # batches
+MOST_WORKERS = 12  # processes that make batches for a GPU
 
 
 class Batches:
@@ -27,7 +28,10 @@ class Batches:
     def __init__(self, frames: Frames, train: NDArray[np.int64], config: TrainConfig, seed: int, rank: Rank) -> None:
         self.frames, self.train, self.config, self.seed, self.rank = frames, train, config, seed, rank
         self.degradation = degradation_of(config, frames)
-        self._ahead: Prefetch[Batch] | None = None
+        self._ahead: Prefetch[PackedBatch] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_ahead": None}
 
     @property
     def steps_per_epoch(self) -> int:
@@ -42,14 +46,25 @@ class Batches:
     def load(self, step: int, device: torch.device) -> Batch:
         """This rank's share of a step's batch, on `device`, degraded where the configuration says so.
 
-        A GPU takes its steps faster than a core degrades images, so for one the next batches are made meanwhile.
+        A GPU takes its steps faster than a core reads and degrades images, so for one other processes make the next
+        batches meanwhile.
         """
         torch.manual_seed(step_seeds(self.seed, step, np.array([self.rank.index]))[0])  # dropout draws globally
         if device.type == "cpu":
             return self._made(step)
         if self._ahead is None:
-            self._ahead = Prefetch(self._made, min(MOST_AHEAD, (os.cpu_count() or 1) // self.rank.size))
-        return self._ahead[step].to(device)
+            workers = max(1, min(MOST_WORKERS, (len(os.sched_getaffinity(0)) - 1) // self.rank.size))
+            self._ahead = Prefetch(self.packed, ahead=2 * workers, workers=workers)
+        return self._ahead[step].unpacked(device)
+
+    def packed(self, step: int) -> PackedBatch:
+        """What :meth:`load` gives for a step, ready to travel."""
+        return self._made(step).packed()
+
+    def close(self) -> None:
+        """End the processes that make batches."""
+        if self._ahead is not None:
+            self._ahead.close()
 
     def _made(self, step: int) -> Batch:
         numbers, share = self.frame_numbers(step), self.rank.share

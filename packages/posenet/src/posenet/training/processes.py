@@ -76,7 +76,8 @@ class _Other:
         context = multiprocessing.get_context("spawn")
         self.rank = rank
         self.inbox, outbox = context.Pipe(duplex=False)
-        self.process = context.Process(target=_follow, args=(rank, work, max(1, threads), outbox), daemon=True)
+        # No daemon, for those may not start processes, and for a GPU it does; it ends with the leader all the same.
+        self.process = context.Process(target=_follow, args=(rank, work, max(1, threads), outbox))
         self.process.start()
         outbox.close()
 

@@ -79,8 +79,13 @@ class Trainer:
             minutes = self.budget.seconds / 60
             log.info("This run has ended, after %.1f minutes; give it more --minutes in all to go on.", minutes)
             return
-        if not self.rank.leads:
-            return self._follow()
+        try:
+            return self._lead() if self.rank.leads else self._follow()
+        finally:
+            self.batches.close()
+
+    def _lead(self) -> None:
+        """Take steps, show and keep what comes of them."""
         bar = tqdm(total=100.0, desc="fit", bar_format=_BAR, mininterval=0.5)
         with Interruption() as interruption, bar:
             try:
