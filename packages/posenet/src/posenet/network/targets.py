@@ -27,9 +27,9 @@ class Batch(NamedTuple):
 
     def packed(self) -> PackedBatch:
         """The same as a handful of arrays."""
-        lists = (torch.cat(part).numpy() for part in (self.poses, self.boxes, self.visibility))
+        poses, boxes, visibility = (torch.cat(part).numpy() for part in (self.poses, self.boxes, self.visibility))
         counts = tuple(len(part) for part in self.boxes)
-        return PackedBatch(self.depth.numpy(), self.intrinsics.numpy(), *lists, counts, self.seeds)
+        return PackedBatch(self.depth.numpy(), self.intrinsics.numpy(), poses, boxes, visibility, counts, self.seeds)
 
     def draws(self) -> list[torch.Generator]:
         """A fresh generator an image, on the CPU: a seed gives the same draws on every device and in any company."""
