@@ -58,6 +58,20 @@ def test_concave_polygons_keep_their_area_their_winding_and_their_edges(
     assert {edge for edge in directed if edge[::-1] not in directed} == rim  # neighbors still meet edge to edge
 
 
+@pytest.mark.parametrize("dtype", [float, np.float32])
+@pytest.mark.parametrize("between", range(1, 4))
+def test_straight_corners_make_no_triangles_without_area(between: int, dtype: type) -> None:
+    """A square of 40 with more corners on its sides, as neighbors that are cut finer give it."""
+    ends = np.array([(0, 0), (40, 0), (40, 40), (0, 40)], float)
+    share = np.arange(between + 1)[:, None] / (between + 1)
+    outline = np.concatenate([a + (b - a) * share for a, b in zip(ends, np.roll(ends, -1, 0), strict=True)])
+    turn = random_rotations(np.random.default_rng(0), 1)[0]
+    vertices = (np.column_stack([outline, 0 * outline[:, 0]]) @ turn.T + 90).astype(dtype).astype(float)
+    found = np.linalg.norm(areas(vertices, triangulate(vertices, polygons(list(range(len(outline)))))), axis=1)
+    assert len(found) == len(outline) - 2 and found.sum() == pytest.approx(1600)
+    assert found.min() > 10
+
+
 @given(st.integers(5, 12), st.integers(0, 10_000))
 def test_star_shaped_outlines_of_any_radii_keep_their_area(corners: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

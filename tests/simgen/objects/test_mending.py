@@ -134,3 +134,57 @@ def test_fine_detail_far_from_the_origin_is_kept_where_nothing_is_open() -> None
     ball = trimesh.creation.icosphere(3, 0.001).apply_translation([3000, 0, 0])  # edges near a rounding of float32
     mesh = mend(np.array(ball.vertices), np.array(ball.faces))
     assert len(mesh.vertices) == len(ball.vertices) and mesh.is_watertight
+
+
+@pytest.mark.parametrize("copies", [0, 1])
+def test_bodies_that_touch_are_one_solid(copies: int) -> None:
+    """Two tetrahedra on the same three corners, in a file that holds some faces twice."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]], float)
+    upper = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    lower = np.where(upper == 3, 4, upper)[:, ::-1]
+    mesh = mend(vertices, np.concatenate([upper, lower, *[upper] * copies]))
+    assert mesh.is_watertight and mesh.crowded_edges == 0 and mesh.components == 1
+    assert mesh.volume == pytest.approx(1 / 3)
+    assert any("2 faces where surfaces touch" in warning for warning in mesh.warnings)
+
+
+def test_bodies_that_touch_in_other_triangles_have_an_inside() -> None:
+    """A pin pressed into a plate, flush with it, whose walls are cut along other diagonals."""
+    hole, pin = trimesh.creation.annulus(1.0, 3.0, 2.0, sections=24), trimesh.creation.cylinder(1.0, 2.0, sections=24)
+    mesh = mended(trimesh.util.concatenate([hole, pin]))
+    assert mesh.is_watertight and mesh.components == 1 and mesh.crowded_edges > 0
+    assert mesh.volume == pytest.approx(hole.volume + pin.volume)
+
+
+def test_bodies_that_touch_along_an_edge_have_an_inside() -> None:
+    other = BODIES["box"].copy().apply_translation([1, 2, 0])
+    mesh = mended(trimesh.util.concatenate([BODIES["box"], other]))
+    assert mesh.crowded_edges == 1 and mesh.is_watertight
+    assert mesh.volume == pytest.approx(2 * other.volume)
+
+
+def test_a_sheet_drawn_from_both_sides_is_no_contact() -> None:
+    """A fin on a box, without thickness, each of its faces there from both sides."""
+    box = BODIES["box"]
+    edge = next(e for e in box.edges_unique if np.ptp(box.vertices[e], axis=0).tolist().count(0) == 2)
+    vertices = np.concatenate([box.vertices, box.vertices[edge] * 2])
+    fin = np.array([[edge[0], edge[1], 8], [edge[1], 9, 8]])
+    mesh = mend(vertices, np.concatenate([box.faces, fin, fin[:, ::-1]]).astype(np.int64))
+    assert len(mesh.faces) == len(box.faces) + 2
+
+
+def test_flat_triangles_on_a_common_side_leave_no_hole() -> None:
+    """Two neighbors with a third corner on their common side, each cut into a triangle without area and the rest."""
+    box = BODIES["box"]
+    faces = np.array(box.faces, np.int64)
+    a, b = box.edges_unique[0]
+    flat = np.array([[a, len(box.vertices), b], [b, len(box.vertices), a]])
+    vertices = np.concatenate([box.vertices, [(box.vertices[a] + box.vertices[b]) / 2]])
+    mesh = mend(vertices, np.concatenate([faces, flat]))
+    assert mesh.is_watertight and mesh.crowded_edges == 0 and mesh.volume == pytest.approx(box.volume)
+
+
+def test_a_cavity_is_no_piece() -> None:
+    inner = BODIES["box"].copy().apply_scale(0.5)
+    inner.invert()
+    assert mended(trimesh.util.concatenate([BODIES["box"], inner])).components == 1

@@ -11,6 +11,7 @@ from evalkit.meshes.mesh_file_error import MeshFileError
 
 AREA_TOLERANCE = 1e-6  # of a polygon's area: triangles that cover more or less than this are not a triangulation
 FLAT = 1e-9  # of a polygon's squared area: a corner turned backwards by less is a straight one
+THIN = 1e-5  # of a triangle's longest side: one of less height lies on a straight side, up to float32's rounding
 
 
 class Polygons(NamedTuple):
@@ -33,7 +34,8 @@ class Polygons(NamedTuple):
 def triangulate(vertices: NDArray[np.float64], polygons: Polygons) -> NDArray[np.int64]:
     """Triangles (F, 3) that cover simple polygons, convex or not, planar or nearly so, in the polygons' order.
 
-    Every corner stays a corner, the straight ones too, so that neighbors still meet edge to edge.
+    Every corner stays a corner, the straight ones too, so that neighbors still meet edge to edge. No triangle lies on
+    a straight side if that can be helped: the neighbor's would lie on it too, and pass for a repeated face.
 
     Raises:
         MeshFileError: a polygon names a vertex that is not there, or crosses itself.
@@ -64,8 +66,14 @@ def _triangulate_alike(vertices: NDArray[np.float64], corners: NDArray[np.int64]
         total = normals.sum(1)
         along = np.einsum("pfi,pi->pf", normals, total)
         folded = (along < -FLAT * np.einsum("pi,pi->p", total, total)[:, None]).any(1)
-    for i in np.flatnonzero(folded):
-        fans[i] = corners[i][_triangulate_concave(vertices[corners[i]], total[i])]
+        longest = np.max([((b - a) ** 2).sum(-1), ((c - b) ** 2).sum(-1), ((a - c) ** 2).sum(-1)], axis=0)
+        thin = (np.linalg.norm(normals, axis=-1) < THIN * longest).any(1) & total.any(1)
+    for i in np.flatnonzero(folded | thin):
+        try:
+            fans[i] = corners[i][_triangulate_concave(vertices[corners[i]], total[i])]
+        except MeshFileError:
+            if folded[i]:
+                raise
     return fans
 
 

@@ -10,6 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from simgen.objects.repeated_faces import without_repeated_faces
 from simgen.objects.winding import signed_volume, wound_outwards
 
 Vertices = NDArray[np.float64]
@@ -29,29 +30,26 @@ class MendedMesh:
     components: int
     open_edges: int  # of one face only
     crowded_edges: int  # of three faces and more
+    is_watertight: bool  # along every edge as many faces run one way as the other, so there is an inside
     volume: float  # signed sum; meaningless for an open mesh
     warnings: list[str]
-
-    @property
-    def is_watertight(self) -> bool:
-        return self.open_edges == 0 and self.crowded_edges == 0
 
 
 def mend(vertices: Vertices, faces: Faces) -> MendedMesh:
     """Weld, clean and wind a triangle mesh; whatever is noteworthy goes into `warnings`."""
     warnings: list[str] = []
     vertices, faces = _weld(vertices, faces)
-    faces = _without_repeated_faces(faces, warnings)
+    faces = _without_repeated_faces(vertices, faces, warnings)
     vertices, faces = without_unused_vertices(vertices, faces)
-    faces = _wound_outwards(vertices, faces, warnings)
+    faces, cavities = _wound_outwards(vertices, faces, warnings)
     counts = _edges(faces)[1]
-    components = _count_components(len(vertices), faces)
     mesh = MendedMesh(
         vertices,
         faces,
-        components,
+        components=_count_components(len(vertices), faces) - cavities,
         open_edges=int((counts == 1).sum()),
         crowded_edges=int((counts > 2).sum()),
+        is_watertight=_is_balanced(faces),
         volume=signed_volume(vertices, faces),
         warnings=warnings,
     )
@@ -119,27 +117,18 @@ def _count_open_edges(faces: Faces) -> int:
     return int((_edges(whole)[1] == 1).sum()) if len(whole) else 0
 
 
-def _without_repeated_faces(faces: Faces, warnings: list[str]) -> Faces:
-    """Without faces that lost a corner to welding, and of faces on the same corners the first.
-
-    Faces of no area with three distinct corners stay: they hold closed meshes together.
-    """
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    if len(faces) == 0:
-        return faces
-    corners = np.sort(faces, axis=1)
-    order = np.lexsort(corners.T)
-    new = np.ones(len(faces), bool)
-    new[1:] = (np.diff(corners[order], axis=0) != 0).any(1)
-    repeated = int((~new).sum())
-    if repeated:
-        warnings.append(f"{_count(repeated, 'face was', 'faces were')} there more than once and dropped.")
-    return faces[np.sort(order[new])]
+def _without_repeated_faces(vertices: Vertices, faces: Faces, warnings: list[str]) -> Faces:
+    """Without faces that lost a corner to welding, copies of others, and faces in contact."""
+    single = without_repeated_faces(vertices, faces)
+    if single.copies:
+        warnings.append(f"{_count(single.copies, 'face was', 'faces were')} there more than once and dropped.")
+    if single.in_contact:
+        warnings.append(f"{single.in_contact} faces where surfaces touch were dropped: what touches is one solid.")
+    return single.faces
 
 
-def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> Faces:
-    """Neighboring faces wound alike, and counter-clockwise seen from outside."""
+def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> tuple[Faces, int]:
+    """Neighboring faces wound alike, and counter-clockwise seen from outside; and how many cavities there are."""
     winding = wound_outwards(vertices, faces)
     if not winding.were_alike:
         mended = "mended" if winding.are_alike else "mended as far as possible"
@@ -149,7 +138,7 @@ def _wound_outwards(vertices: Vertices, faces: Faces, warnings: list[str]) -> Fa
     elif winding.turned_bodies:
         bodies = _count(winding.turned_bodies, "closed body was", "closed bodies were")
         warnings.append(f"{bodies} inside out, of {winding.bodies}; the faces have been turned round.")
-    return winding.faces
+    return winding.faces, winding.cavities
 
 
 def _directed_edges(faces: Faces) -> tuple[Faces, NDArray[np.int64], NDArray[np.int64]]:
@@ -165,6 +154,14 @@ def _edges(faces: Faces) -> tuple[Faces, NDArray[np.int64]]:
     return directed[first], counts
 
 
+def _is_balanced(faces: Faces) -> bool:
+    """Whether the faces run along every edge as often one way as the other: alone, or where bodies share the edge."""
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    upwards = directed[:, 0] < directed[:, 1]
+    _, number = np.unique(_pack(np.sort(directed, axis=1)), return_inverse=True)
+    return not np.bincount(number.reshape(-1), np.where(upwards, 1, -1)).any()
+
+
 def _pack(edges: Faces) -> NDArray[np.int64]:
     """One number an edge."""
     return edges[:, 0] * (int(edges.max(initial=0)) + 1) + edges[:, 1]
@@ -178,9 +175,8 @@ def _count_components(vertex_count: int, faces: Faces) -> int:
 
 def _note_flaws(mesh: MendedMesh) -> None:
     if mesh.crowded_edges:
-        mesh.warnings.append(
-            f"Not a manifold: {_count(mesh.crowded_edges, 'edge has', 'edges have')} more than two faces."
-        )
+        kind = "Bodies touch along edges" if mesh.is_watertight else "Not a manifold"
+        mesh.warnings.append(f"{kind}: {_count(mesh.crowded_edges, 'edge has', 'edges have')} more than two faces.")
     if mesh.open_edges:
         mesh.warnings.append(
             f"Not watertight: {_count(mesh.open_edges, 'edge has', 'edges have')} one face only; the physics closes "

@@ -20,7 +20,8 @@ class Winding(NamedTuple):
     faces: Faces
     were_alike: bool  # neighbors agreed from the start
     are_alike: bool  # they agree now; a Moebius strip's never do
-    bodies: int  # closed ones
+    bodies: int  # closed ones, cavities among them
+    cavities: int
     turned_bodies: int  # of those, how many were inside out
     turned_rest: bool  # the open surfaces were inside out, taken together
 
@@ -47,7 +48,13 @@ def wound_outwards(vertices: Vertices, faces: Faces) -> Winding:
     turn[rest] = turn_rest
     turned = np.where(turn[:, None], faces[:, ::-1], faces)
     return Winding(
-        turned, not opposed.any(), not twisted.any(), len(chosen), sum(sign < 0 for sign in signs), turn_rest
+        turned,
+        were_alike=not opposed.any(),
+        are_alike=not twisted.any(),
+        bodies=len(chosen),
+        cavities=sum(signed_volume(vertices, turned[own]) < 0 for own in chosen),
+        turned_bodies=sum(sign < 0 for sign in signs),
+        turned_rest=turn_rest,
     )
 
 
