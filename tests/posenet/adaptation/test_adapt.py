@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from evalkit.evidence.ray_tracer import RayTracer
 from evalkit.evidence.verdict import Verifier
 from posenet.adaptation.adapt import adapt
 from posenet.adaptation.labeled_batches import batch_of
-from posenet.adaptation.pseudo_labels import LabeledImage, label
+from posenet.adaptation.labeled_image import LabeledImage
+from posenet.adaptation.pseudo_labels import label
 from posenet.adaptation.worth import Worth
 from posenet.commands.cli import main
 from posenet.models.model_file import load_model
@@ -27,14 +29,14 @@ from posenet.prediction.predictor import PredictedPoses, Predictor
 class Knowing(Predictor):
     """A predictor that says what it is told; everything else is a real one's."""
 
-    def __init__(self, run: Path, poses: np.ndarray) -> None:
+    def __init__(self, run: Path, poses: np.ndarray, score: float = 0.9) -> None:
         super().__init__(load_model(run).network)
-        self.poses = poses
+        self.poses, self.score = poses, score
 
     def predict_batch(self, *_: object, **__: object) -> list[PredictedPoses]:
         count = len(self.poses)
         boxes = np.tile([10.0, 10.0, 30.0, 30.0], (count, 1))
-        return [PredictedPoses(self.poses, np.full(count, 0.9), boxes, np.arange(count), 0.0)]
+        return [PredictedPoses(self.poses, np.full(count, self.score), boxes, np.arange(count), 0.0)]
 
 
 @pytest.fixture(scope="module")
@@ -61,19 +63,52 @@ def test_verified_poses_are_labels_and_others_are_left_out(labeled: tuple[Labele
     assert np.median(np.abs(boxes - scale * truth.box_returned[nearest])) <= 2.0
 
 
-def test_upside_down_is_the_scene_of_a_turned_camera(labeled: tuple[LabeledImage, ShardDataset]) -> None:
+def test_what_the_image_verifies_but_the_model_doubts_is_no_label(run_folder: Path, debug_shards: Path) -> None:
+    view = ShardDataset(debug_shards)[0]
+    predictor = Knowing(run_folder, view.instances.cam_from_obj, score=0.3)
+    verifier = Verifier(predictor.model)
+    doubted = label(predictor, verifier, view.depth, view.camera, "a")
+    assert doubted.count == 0 and len(doubted.visibility) > 0  # left out: neither part nor background
+    predictor.score = 0.9
+    sure = label(predictor, verifier, view.depth, view.camera, "a")
+    predictor.score = 0.3
+    assert label(predictor, verifier, view.depth, view.camera, "a", sure).count == sure.count > 0  # known from before
+
+
+@pytest.mark.parametrize(("angle", "zoom"), [(math.pi, 1.0), (0.6, 1.0), (-2.0, 1.15), (0.0, 0.85)])
+def test_a_turned_image_is_the_scene_of_a_turned_camera(
+    labeled: tuple[LabeledImage, ShardDataset], angle: float, zoom: float
+) -> None:
     image, dataset = labeled
-    model, turned = dataset.header.object, image.upside_down()
-    tracer, row = RayTracer(model), int(image.visibility.argmax())
-    plain, other = (tracer.trace(one.cam_from_obj[row].double().numpy(), one.camera) for one in (image, turned))
-    assert len(plain) == len(other) > 50
-    agree = np.abs(turned.depth.numpy()[other.v, other.u] - other.depth) < 0.005
-    assert agree.mean() > 0.3
-    assert agree.sum() == (np.abs(image.depth.numpy()[plain.v, plain.u] - plain.depth) < 0.005).sum()
-    again = turned.upside_down()
+    tracer, turned = RayTracer(dataset.header.object), image.turned(angle, zoom)
+    row = int(turned.visibility.argmax())
+    center = turned.cam_from_obj[row, :3, 3]
+    before = int((image.cam_from_obj[:, :3, 3].norm(dim=1) - center.norm()).abs().argmin())
+    shares = []
+    for one, number in ((image, before), (turned, row)):
+        traced = tracer.trace(one.cam_from_obj[number].double().numpy(), one.camera)
+        seen = np.abs(one.depth.numpy()[traced.v, traced.u] - traced.depth) < 0.005
+        box = one.boxes[number].numpy()
+        inside = (traced.u + 1 >= box[0]) & (traced.u <= box[2]) & (traced.v + 1 >= box[1]) & (traced.v <= box[3])
+        assert inside[seen].mean() > 0.95
+        shares.append(seen.mean())
+    assert shares[0] > 0.3 and shares[1] > shares[0] - 0.15  # the nearest pixel may lie beyond an edge
+
+
+def test_a_turn_and_the_turn_back_give_the_labels_again(labeled: tuple[LabeledImage, ShardDataset]) -> None:
+    image, _ = labeled
+    again = image.turned(math.pi).turned(-math.pi)
     torch.testing.assert_close(again.boxes, image.boxes)
     torch.testing.assert_close(again.cam_from_obj, image.cam_from_obj)
-    assert again.camera == image.camera
+    assert torch.equal(again.depth, image.depth)
+    assert again.camera.cx == pytest.approx(image.camera.cx) and again.camera.fy == pytest.approx(image.camera.fy)
+
+
+def test_what_the_frame_cuts_off_is_not_learned(labeled: tuple[LabeledImage, ShardDataset]) -> None:
+    image, _ = labeled
+    near = image.turned(0.3, 4.0)
+    assert near.count < image.count
+    assert (near.boxes[:, 2:] >= near.boxes[:, :2]).all() and near.boxes.min() >= 0.0
 
 
 def test_batches_follow_from_seed_and_step(labeled: tuple[LabeledImage, ShardDataset], run_folder: Path) -> None:

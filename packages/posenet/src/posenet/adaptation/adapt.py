@@ -19,7 +19,8 @@ from evalkit.depth.sources import DepthSource
 from evalkit.errors import InputError
 from evalkit.evidence.verdict import Verifier
 from posenet.adaptation.labeled_batches import batch_of
-from posenet.adaptation.pseudo_labels import LabeledImage, label
+from posenet.adaptation.labeled_image import LabeledImage
+from posenet.adaptation.pseudo_labels import label
 from posenet.adaptation.worth import Worth, worth_of
 from posenet.config import Config
 from posenet.device import choose_device, supports_bf16

@@ -1,17 +1,20 @@
-"""Training batches of labeled images: shuffled, half of them upside down, degraded as other cameras might."""
+"""Training batches of labeled images: shuffled, turned and zoomed, degraded as other cameras might."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import torch
 
-from posenet.adaptation.pseudo_labels import LabeledImage
+from posenet.adaptation.labeled_image import LabeledImage
 from posenet.config import TrainConfig
 from posenet.network.depth_input import intrinsics_of
 from posenet.network.targets import Batch
 from posenet.training.augment import Degradation, degrade
 from posenet.training.dataset import step_seeds
 
+ZOOM = 1.15  # at most, in and out
 DEGRADED = 0.5  # times as far as ideal depth is, for these images carry their camera's errors already
 
 
@@ -21,7 +24,7 @@ def batch_of(images: list[LabeledImage], config: TrainConfig, diameter: float, s
     first = images[int(rng.integers(len(images)))]
     alike = [image for image in images if image.depth.shape == first.depth.shape]
     chosen = rng.choice(len(alike), min(config.batch_images, len(alike)), replace=False)
-    some = [alike[number].upside_down() if rng.random() < 0.5 else alike[number] for number in chosen]
+    some = [alike[number].turned(rng.uniform(-math.pi, math.pi), _zoom(rng)) for number in chosen]
     return Batch(
         depth=torch.stack([_degraded(image, diameter, rng) for image in some]),
         intrinsics=torch.stack([intrinsics_of(image.camera) for image in some]),
@@ -30,6 +33,10 @@ def batch_of(images: list[LabeledImage], config: TrainConfig, diameter: float, s
         visibility=[image.visibility for image in some],
         seeds=step_seeds(seed, step, chosen),
     )
+
+
+def _zoom(rng: np.random.Generator) -> float:
+    return ZOOM ** float(rng.uniform(-1.0, 1.0))
 
 
 def _degraded(image: LabeledImage, diameter: float, rng: np.random.Generator) -> torch.Tensor:

@@ -29,8 +29,9 @@ FILE = click.Path(path_type=Path)
 def adapt(model: Path, frames: Path, out: Path, minutes: float, seed: int, device: str, **options: Any) -> None:
     """Let MODEL learn from FRAMES, unlabeled images of your own camera, and write it as a new model.
 
-    Its refined poses that the images verify (see `evalkit verify`) are the labels; what is unsure is left out. A fourth
-    of the frames is held out: where the new model is no better there, by image evidence, the old one is written.
+    Its refined poses scored at least 0.5 that the images verify (see `evalkit verify`) are the labels; what is unsure
+    is left out. A fourth of the frames is held out: where the new model is no better there, by image evidence, the old
+    one is written.
     """
     from tqdm import tqdm
 
