@@ -40,32 +40,68 @@ class Muon(torch.optim.Optimizer):
         """One step along the gradients."""
         loss = closure() if closure is not None else None
         for group in self.param_groups:
-            for parameter in group["params"]:
-                if parameter.grad is None:
-                    continue
-                update = self._matrix_update(parameter) if is_matrix(parameter) else self._adam_update(parameter)
-                parameter.mul_(1 - group["lr"] * group["weight_decay"]).sub_(update, alpha=group["lr"])
+            moving = [parameter for parameter in group["params"] if parameter.grad is not None]
+            updates = self._adam_updates([parameter for parameter in moving if not is_matrix(parameter)])
+            for alike in _by_shape(filter(is_matrix, moving)):
+                updates += self._matrix_updates(alike)
+            if updates:
+                parameters, by = zip(*updates, strict=True)
+                torch._foreach_mul_(parameters, 1 - group["lr"] * group["weight_decay"])
+                torch._foreach_sub_(parameters, by, alpha=group["lr"])
         return loss
 
-    def _matrix_update(self, parameter: Tensor) -> Tensor:
-        gradient, state = parameter.grad, self.state[parameter]
-        assert gradient is not None
-        if not state:
-            state["momentum"] = torch.zeros_like(gradient)
-        momentum = state["momentum"].lerp_(gradient, 1 - MOMENTUM)
-        ahead = gradient.lerp(momentum, MOMENTUM).reshape(len(parameter), -1)
-        turned = orthogonal(ahead.to(self.precision)).to(parameter.dtype)
-        return turned.mul_(ADAM_SIZE * math.sqrt(max(ahead.shape))).reshape(parameter.shape)
+    def _matrix_updates(self, parameters: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        """Of parameters of one shape, together: a step is thousands of small operations otherwise, which a GPU's host
+        takes longer to launch than the GPU to do.
+        """
+        gradients = _gradients(parameters)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            if not self.state[parameter]:
+                self.state[parameter]["momentum"] = torch.zeros_like(gradient)
+        momenta = [self.state[parameter]["momentum"] for parameter in parameters]
+        torch._foreach_lerp_(momenta, gradients, 1 - MOMENTUM)
+        ahead = torch.stack([_rows(part) for part in torch._foreach_lerp(gradients, momenta, MOMENTUM)])
+        turned = orthogonal(ahead.to(self.precision)).to(ahead.dtype)
+        turned = turned.mul_(ADAM_SIZE * math.sqrt(max(ahead.shape[1:])))
+        return [(parameter, _shaped(rows, parameter)) for parameter, rows in zip(parameters, turned, strict=True)]
 
-    def _adam_update(self, parameter: Tensor) -> Tensor:
-        gradient, state = parameter.grad, self.state[parameter]
-        assert gradient is not None
-        if not state:
-            state |= {"step": 0, "mean": torch.zeros_like(gradient), "square": torch.zeros_like(gradient)}
-        state["step"] += 1
-        mean = state["mean"].lerp_(gradient, 1 - BETAS[0]) / (1 - BETAS[0] ** state["step"])
-        square = state["square"].lerp_(gradient.square(), 1 - BETAS[1]) / (1 - BETAS[1] ** state["step"])
-        return mean / (square.sqrt_() + EPSILON)
+    def _adam_updates(self, parameters: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        if not parameters:
+            return []
+        gradients = _gradients(parameters)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            if not self.state[parameter]:
+                zero = torch.zeros_like(gradient)
+                self.state[parameter] |= {"step": 0, "mean": zero, "square": zero.clone()}
+            self.state[parameter]["step"] += 1
+        means, squares, steps = ([self.state[p][name] for p in parameters] for name in ("mean", "square", "step"))
+        torch._foreach_lerp_(means, gradients, 1 - BETAS[0])
+        torch._foreach_lerp_(squares, torch._foreach_mul(gradients, gradients), 1 - BETAS[1])
+        sizes = torch._foreach_sqrt(torch._foreach_div(squares, [1 - BETAS[1] ** step for step in steps]))
+        torch._foreach_add_(sizes, EPSILON)
+        unbiased = torch._foreach_div(means, [1 - BETAS[0] ** step for step in steps])
+        return list(zip(parameters, torch._foreach_div(unbiased, sizes), strict=True))
+
+
+def _gradients(parameters: list[Tensor]) -> list[Tensor]:
+    return [parameter.grad for parameter in parameters if parameter.grad is not None]
+
+
+def _by_shape(parameters: Iterable[Tensor]) -> list[list[Tensor]]:
+    alike: dict[torch.Size, list[Tensor]] = {}
+    for parameter in parameters:
+        alike.setdefault(parameter.shape, []).append(parameter)
+    return list(alike.values())
+
+
+def _rows(weights: Tensor) -> Tensor:
+    """Weights (out, in, ...) as a matrix (out, rest), input channels last as convolutions keep them."""
+    return weights.movedim(1, -1).reshape(len(weights), -1)
+
+
+def _shaped(rows: Tensor, like: Tensor) -> Tensor:
+    """What :func:`_rows` took apart."""
+    return rows.view(len(like), *like.shape[2:], like.shape[1]).movedim(-1, 1)
 
 
 def is_matrix(parameter: Tensor) -> bool:
@@ -73,12 +109,14 @@ def is_matrix(parameter: Tensor) -> bool:
     return parameter.dim() >= 2 and parameter.numel() <= LARGEST
 
 
-def orthogonal(matrix: Tensor) -> Tensor:
-    """About the nearest matrix (m, n) with orthonormal rows or columns, by Newton-Schulz iterations."""
+def orthogonal(matrices: Tensor) -> Tensor:
+    """About the nearest matrices (..., m, n) with orthonormal rows or columns, by Newton-Schulz iterations."""
     a, b, c = COEFFICIENTS
-    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T
-    x = wide / (wide.norm() + 1e-7)
+    is_wide = matrices.shape[-2] <= matrices.shape[-1]
+    wide = (matrices if is_wide else matrices.mT).reshape(-1, *sorted(matrices.shape[-2:]))
+    x = wide / (wide.flatten(1).norm(dim=1)[:, None, None] + 1e-7)
     for _ in range(ITERATIONS):
-        gram = x @ x.T
-        x = a * x + (b * gram + c * gram @ gram) @ x
-    return x if wide is matrix else x.T
+        gram = x @ x.mT
+        x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    turned = x.reshape(*matrices.shape[:-2], *x.shape[-2:])
+    return turned if is_wide else turned.mT
