@@ -178,3 +178,12 @@ def test_the_parts_of_a_ball_hold_its_surface_within_half_a_percent() -> None:
     ]
     assert np.min(outside, axis=0).max() < 0.005 * 0.1
     assert volume(parts) == pytest.approx(ball.volume, rel=0.02)
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.03, 0.01, 0.003])
+def test_hulls_of_thin_parts_keep_their_section(radius: float) -> None:
+    """Of rods of unit length: a tolerance of the length alone would make the thinnest half as thick again."""
+    rod = trimesh.creation.cylinder(radius, 1.0, sections=64)
+    points, triangles = convex._simplified_part((np.array(rod.vertices), np.array(rod.faces)))
+    assert np.ptp(points[:, :2], axis=0) == pytest.approx(2 * radius, rel=0.1)
+    assert trimesh.Trimesh(points, triangles).volume == pytest.approx(rod.volume, rel=0.1)

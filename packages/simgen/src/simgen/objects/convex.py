@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
 from evalkit.errors import InputError
+from evalkit.geometry.principal_axes import principal_axes
 from simgen.objects.hulls import simplified_hull
 from simgen.objects.mending import closed
 
@@ -36,8 +37,9 @@ COACD_OPTIONS: dict[str, Any] = {
 MAX_FACES = 5_000  # CoACD's time grows with them, the parts hardly change
 AGGRESSIONS = (1, 2, 3)  # 7, the default, eats a quarter of a candlestick; 1 leaves a fine ball as it is
 HULL_TOLERANCE = 0.005  # of the largest side: the parts' hulls, with fewer vertices, stay as near to the surface
+THIN = 0.045  # of the largest side: thinner parts' hulls stay nearer, or a rod would be half as thick again
 CRASHES = (-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE, -signal.SIGILL, -signal.SIGBUS)
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 
 
 class ConvexPartsError(Exception):
@@ -88,8 +90,16 @@ def _decompose(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> list[
 
 def _simplified_part(part: Part) -> Part:
     """A part of a mesh of unit size with fewer vertices; a flat one stays as it is."""
-    points = simplified_hull(part[0], HULL_TOLERANCE)
+    thinness = min(1.0, _thickness(part[0]) / THIN)
+    points = simplified_hull(part[0], HULL_TOLERANCE * thinness**2)
     return part if points is part[0] else _hull(points)
+
+
+def _thickness(points: NDArray[np.float64]) -> float:
+    """The smallest extent of points (n, 3) along their principal axes."""
+    centered = points - points.mean(0)
+    axes = principal_axes(np.einsum("ni,nj->ij", centered, centered))[1]
+    return float(np.ptp(np.einsum("ni,ij->nj", centered, axes), axis=0).min())
 
 
 def _simplified(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> trimesh.Trimesh:
@@ -129,7 +139,7 @@ def _hull(points: NDArray[np.float64]) -> Part:
 
 
 def _cache_path(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Path:
-    key = f"{CACHE_VERSION} {version('coacd')} {MAX_FACES} {HULL_TOLERANCE} {sorted(COACD_OPTIONS.items())}"
+    key = f"{CACHE_VERSION} {version('coacd')} {MAX_FACES} {HULL_TOLERANCE} {THIN} {sorted(COACD_OPTIONS.items())}"
     digest = hashlib.sha256(key.encode())
     digest.update(np.ascontiguousarray(vertices, "<f8").tobytes())
     digest.update(np.ascontiguousarray(faces, "<i8").tobytes())
