@@ -28,7 +28,7 @@ from crowd_growth import report_growth
 from evalkit.datasets.scene import Scene, View
 from evalkit.datasets.shard_writer import ShardWriter
 from evalkit.objects.model import ObjectModel
-from peers import least_seconds, renderer_of, report_peers
+from peer_renderers import least_seconds, renderer_of, report_peers
 from pile_quality import below_floor, hulls_of, motion_afterwards, penetrations
 from simgen.objects.prepare import prepare_object
 from simgen.physics.bin_shape import bin_mesh

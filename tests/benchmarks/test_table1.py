@@ -1,0 +1,66 @@
+"""The paper's table on our own data: which cells are measured, kept and refused. The measuring itself is replaced."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from evalkit.errors import InputError
+
+FIGURES = {"value": 0.5, "low": 0.4, "high": 0.6, "images": 40, "seconds": 12.3}
+
+
+@pytest.fixture(scope="module")
+def table1(load_benchmark):
+    load_benchmark("commands")
+    return load_benchmark("table1")
+
+
+@pytest.fixture
+def measured(table1, monkeypatch):
+    """The cells that were measured, in order; the fifth of a run that is `cut` ends it."""
+    cells = []
+
+    def measure(self, column, row):
+        if len(cells) == 4 and "cut" not in cells:
+            cells.append("cut")
+            raise KeyboardInterrupt
+        cells.append((column.title, row))
+        return FIGURES
+
+    monkeypatch.setattr(table1.Night, "measured", measure)
+    return cells
+
+
+def test_a_run_that_was_cut_off_measures_only_the_cells_that_are_missing(table1, measured, tmp_path, capsys):
+    with pytest.raises(KeyboardInterrupt):
+        table1.main(["--out", str(tmp_path)])
+    table1.main(["--out", str(tmp_path)])
+    cells = [cell for cell in measured if cell != "cut"]
+    assert len(cells) == len(set(cells)) == len(table1.COLUMNS) * len(table1.ROWS)
+    written = (tmp_path / "table1.md").read_text()
+    assert written.count("0.500 [0.400, 0.600], 12 s") == len(cells)
+
+
+def test_a_cell_half_written_when_the_machine_stopped_is_not_taken_for_one(table1, measured, tmp_path):
+    night = table1.Night(tmp_path, 1, 1, "debug", 1.0)
+    column = table1.COLUMNS[0]
+    night.cell(column, "PPF")
+    (cell,) = (tmp_path / "cells").iterdir()
+    assert json.loads(cell.read_text()) == FIGURES  # it appears whole, or not at all
+    night.cell(column, "PPF")
+    assert measured == [(column.title, "PPF")]
+
+
+def test_a_folder_begun_with_other_numbers_is_refused(table1, measured, tmp_path):
+    table1.main(["--out", str(tmp_path), "--columns", "bunny, Sym", "--rows", "PPF"])
+    with pytest.raises(InputError, match="begun with"):
+        table1.main(["--out", str(tmp_path), "--minutes", "1"])
+
+
+def test_the_paper_s_figures_stand_beside_ours(table1):
+    bunny, crowd, domestic = (table1.COLUMNS[i] for i in (0, 4, 5))
+    assert bunny.published("PPF+PP") == "0.37" and bunny.published("network") == "0.74"
+    assert bunny.published("network without offset") == "0.49" and bunny.published("network, refined") == ""
+    assert crowd.published("Linemod") == "0.32" and domestic.published("PPF") == "0.867"
