@@ -11,7 +11,7 @@ import sys
 import venv
 from pathlib import Path
 
-REQUIREMENTS = ("opencv-contrib-python-headless>=4.8", "numpy>=1.26")
+REQUIREMENTS = ("opencv-contrib-python-headless>=5.0", "numpy>=1.26")
 FOLDER = Path.home() / ".cache" / "binpose" / "opencv-contrib"
 
 
