@@ -13,8 +13,10 @@ BUILD = """
 import hashlib, json, sys
 from pathlib import Path
 import numpy as np
+import trimesh
 from angle_job import SMALL, digests, job_of
 from dataclasses import replace
+from evalkit.geometry import poses
 from evalkit.objects.symmetry_detection import resolve_symmetry
 from simgen.building.build import build_shard
 from simgen.objects.hulls import simplified_hull
@@ -26,8 +28,13 @@ folder.mkdir()
 job = job_of(replace(SMALL, scenes=2, shard_scenes=2))
 round_body = simplified_hull(np.random.default_rng(0).normal(size=(400, 3)) @ np.diag([0.02, 0.01, 0.01]), 2e-3)
 found = resolve_symmetry(*job.model.mesh, "auto")
+bar = trimesh.creation.box([0.08, 0.03, 0.02]).subdivide().subdivide()
+turn = poses.from_axis_angle([1, 2, 3], 0.7)
+aslant = resolve_symmetry(poses.compose(bar.vertices, turn), bar.faces, "auto")
+assert aslant.symmetry.name == "dihedral:2"
 build_shard(job, folder, 0)
 print(hashlib.sha256(round_body.tobytes()).hexdigest(), json.dumps(found.symmetry.to_json()), digests(folder))
+print(json.dumps(aslant.symmetry.to_json()), repr(aslant.residual))
 """
 
 

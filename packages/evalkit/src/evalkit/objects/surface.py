@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from evalkit.geometry.principal_axes import principal_axes
+from evalkit.geometry.small_systems import solve_positive
 from evalkit.objects.model import sample_surface_with_normals, surface_moments
 
 Array = NDArray[np.float64]
@@ -143,11 +145,11 @@ def _off_quadric(points: Array, used: NDArray[np.bool_]) -> Array:
     offset = weight * (points - (weight * points).sum(1, keepdims=True) / count[:, None, None])
     size = np.sqrt((offset**2).sum((1, 2)) / count)
     offset /= size[:, None, None]
-    axes = np.linalg.eigh(np.swapaxes(offset, 1, 2) @ offset)[1]
-    height, u, v = np.moveaxis(offset @ axes, -1, 0)
+    moments = np.einsum("pki,pkj->pij", offset, offset)
+    axes = np.array([principal_axes(matrix)[1] for matrix in moments])
+    height, u, v = np.moveaxis(np.einsum("pki,pij->pkj", offset, axes), -1, 0)
     terms = weight * np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
-    transposed = np.swapaxes(terms, 1, 2)
     tiny = 1e-9 * np.eye(6)  # points in a row fix no quadric
-    best = np.linalg.solve(transposed @ terms + tiny, transposed @ height[..., None])
-    left = height - (terms @ best)[..., 0]
+    best = solve_positive(np.einsum("pki,pkj->pij", terms, terms) + tiny, np.einsum("pki,pk->pi", terms, height))
+    left = height - np.einsum("pki,pi->pk", terms, best)
     return size * np.sqrt((left**2).sum(1) / (count - 6))

@@ -59,7 +59,7 @@ class Symmetry:
         name = {"cyclic:1": "none", "identity": "none"}.get(name, name)
         in_sym = _group_in_symmetry_frame(name)
         kind: Kind = "sphere" if name == "sphere" else "revolution" if name.startswith("revolution") else "finite"
-        return cls(name, kind, frame @ in_sym @ frame.T, frame)
+        return cls(name, kind, poses.compose(poses.compose(frame, in_sym), frame.T), frame)
 
     @classmethod
     def from_rotations(cls, rotations: ArrayLike, name: str | None = None) -> Symmetry:
@@ -104,7 +104,8 @@ class Symmetry:
     def rotated(self, new_from_obj: ArrayLike) -> Symmetry:
         """The same symmetry seen from another frame: `new_from_obj` (3, 3)."""
         turn = np.asarray(new_from_obj, float)
-        return Symmetry(self.name, self.kind, turn @ self.rotations @ turn.T, turn @ self.obj_from_sym)
+        rotations = poses.compose(poses.compose(turn, self.rotations), turn.T)
+        return Symmetry(self.name, self.kind, rotations, poses.compose(turn, self.obj_from_sym))
 
     def elements(self, steps: int = 64) -> Array:
         """Group elements (n, 3, 3), object frame, identity first; continuous groups sampled.

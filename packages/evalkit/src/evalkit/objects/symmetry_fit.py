@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.principal_axes import principal_axes
+from evalkit.geometry.small_systems import solve_positive
 from evalkit.objects.depth_views import sphere_directions
 from evalkit.objects.surface import Surface
 from evalkit.objects.symmetry import Symmetry
@@ -108,7 +109,7 @@ def spread_elements(symmetry: Symmetry, count: int) -> Array:
         return poses.random_rotations(rng, count)
     if symmetry.kind == "revolution":
         turns = poses.from_axis_angle(symmetry.axis, rng.random(count) * (2 * np.pi))
-        return finite[np.arange(count) % len(finite)] @ turns
+        return poses.compose(finite[np.arange(count) % len(finite)], turns)
     return finite[1 + rng.permutation(np.arange(count) % (len(finite) - 1))]
 
 
@@ -133,10 +134,11 @@ def refine(
         free = symmetry.axis[None] if keep_axis else np.eye(3)
         jacobian = np.cross(moved, normal) + np.cross(turned(np.swapaxes(elements, 1, 2), normal), points)
         trusted = distance <= max(TYPICAL_TOLERANCE, 3 * float(np.median(distance)))
-        a, b = jacobian[trusted] @ free.T, residual[trusted]
+        a, b = np.einsum("ni,fi->nf", jacobian[trusted], free), residual[trusted]
         damping = 1e-6 * count * np.eye(len(free))  # turns that leave the group as it is have no gradient
-        turn = -free.T @ np.linalg.solve(a.T @ a + damping, a.T @ b)
-        angle = float(np.linalg.norm(turn))
+        step = solve_positive(np.einsum("nf,ng->fg", a, a) + damping, np.einsum("nf,n->f", a, b))
+        turn = -np.einsum("f,fi->i", step, free)  # no BLAS anywhere here: bits that hold
+        angle = float(np.sqrt((turn * turn).sum()))
         if angle < 1e-5:
             break
         symmetry = symmetry.rotated(poses.from_axis_angle(turn / angle, min(angle, 0.1)))
@@ -163,7 +165,7 @@ def _frames(axes: Array, spins: int) -> Array:
     """Frames (n * spins, 3, 3) with z along each of `axes` (n, 3), turned about it over half a turn."""
     bases = poses.rotation_between([0.0, 0.0, 1.0], axes)
     turns = poses.from_axis_angle([0.0, 0.0, 1.0], np.arange(spins) * (np.pi / spins))
-    return (bases[:, None] @ turns).reshape(-1, 3, 3)
+    return poses.compose(bases[:, None], turns).reshape(-1, 3, 3)
 
 
 def _rough_scores(surface: Surface, group: Symmetry, frames: Array, count: int = 250, chunk: int = 1000) -> Array:
@@ -216,7 +218,8 @@ def _nearest_axes(symmetry: Symmetry) -> Array | None:
     if near.any():
         return coordinate_frames[np.where(near, plainness, -np.inf).argmax()]
     if along.any():
-        return poses.rotation_between(symmetry.axis, coordinate_frames[along.argmax(), :, 2]) @ symmetry.obj_from_sym
+        onto = poses.rotation_between(symmetry.axis, coordinate_frames[along.argmax(), :, 2])
+        return poses.compose(onto, symmetry.obj_from_sym)
     return None
 
 

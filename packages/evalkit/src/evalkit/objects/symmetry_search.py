@@ -174,7 +174,7 @@ class SymmetrySearch:
         fold = len(spin.rotations)
         steps = max(24, 120 // fold)
         turns = poses.from_axis_angle([0.0, 0.0, 1.0], np.arange(steps) * (np.pi / fold / steps))
-        flipped = [Symmetry.parse(f"dihedral:{fold}", spin.obj_from_sym @ turn) for turn in turns]
+        flipped = [Symmetry.parse(f"dihedral:{fold}", poses.compose(spin.obj_from_sym, turn)) for turn in turns]
         scores = np.array([self._verify(symmetry, 400).typical_excess for symmetry in flipped])
         for best in np.argsort(scores)[:3]:
             candidate = self._test(flipped[best])
