@@ -19,7 +19,8 @@ BRITISH = re.compile(
 IN_FILES_ALREADY = (
     "registration_neighbours",
     '"metres"',
-)  # fields of model files, and of what evalkit ap --json writes
+    ".METRE.",
+)  # fields of model files, of what evalkit ap --json writes, and of STEP
 TEXT = (".py", ".md", ".html", ".js", ".css", ".toml", ".yml", ".cff", "Makefile", "Dockerfile")
 FOLDERS = ("packages", "benchmarks", "tests", "docs", "data")
 AT_THE_ROOT = ("*.md", "*.toml", "*.yml", "*.cff", "Makefile", "Dockerfile")
