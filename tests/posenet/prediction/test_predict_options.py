@@ -58,7 +58,7 @@ def test_the_precision_is_the_users_and_costs_little(run_folder: Path, view: Vie
 
 def test_without_registration_the_score_is_the_confidence(run_folder: Path, view: View) -> None:
     alone = predictor(run_folder, PredictOptions(registration=False))
-    network = predictor(run_folder, PredictOptions()).network
+    network = predictor(run_folder, PredictOptions()).fast
     depth = torch.from_numpy(view.depth)[None]
     intrinsics = intrinsics_of(view.camera)[None]
     with torch.no_grad(), network.predicting(alone.bf16):

@@ -13,6 +13,7 @@ from posenet.refinement import refiner as refine
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, FOOTPRINT, depth_evidence, explained_before
 from posenet.refinement.icp import DAMPING, LEAST_NORMAL_COSINE, icp
 from posenet.refinement.judge import FORMAT, Judge, Regression, probability
+from posenet.refinement.observed import observed
 from posenet.refinement.refiner import Fits, Fitting, Refiner
 
 CAMERA = Camera(160, 120, 180.0, 180.0, 79.5, 59.5)
@@ -121,7 +122,7 @@ def unfitted(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> tuple[Fit
 
 def evidence(refiner: Refiner, cam_from_obj: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    normals = refine.observed_normals(depth, intrinsics)
+    normals = observed(depth, intrinsics)[..., 1:]
     tolerance = refine.TOLERANCE * refiner.model.diameter
     return depth_evidence(cam_from_obj, refiner.points, refiner.normals, depth, normals, intrinsics, tolerance)
 
@@ -194,8 +195,8 @@ def plain_evidence(
     inside = (u >= 0) & (v >= 0) & (u < CAMERA.width) & (v < CAMERA.height)
     seen = np.where(inside, depth[v.clip(0, CAMERA.height - 1), u.clip(0, CAMERA.width - 1)], 0.0)
     known, gap = facing & inside & (seen > 0), (seen - points[:, 2]) / tolerance
-    observed = refine.observed_normals(depth, np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]))
-    cosine = (observed[v.clip(0, CAMERA.height - 1), u.clip(0, CAMERA.width - 1)] * turned).sum(1)
+    slopes = observed(depth, np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]))[..., 1:]
+    cosine = (slopes[v.clip(0, CAMERA.height - 1), u.clip(0, CAMERA.width - 1)] * turned).sum(1)
     agreeing = np.where(known & (abs(gap) <= 1), (1 - gap**2) * np.clip((cosine - 0.5) / 0.5, 0, None), 0.0)
     total = weight[facing].sum()
     return float((weight * agreeing).sum() / total), float(weight[known & (gap > 1)].sum() / total)
@@ -323,7 +324,7 @@ def plain_step(
 def test_the_kernel_takes_the_step_that_the_formulas_take(scene: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
     model, pose, depth = scene
     refiner, intrinsics = Refiner(model), np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    normals, reach = refine.observed_normals(depth, intrinsics), 0.1 * model.diameter
+    normals, reach = observed(depth, intrinsics)[..., 1:], 0.1 * model.diameter
     starts = disturbed(pose, np.random.default_rng(3), 10, 0.002, np.radians(6))
     moved = starts.copy()
     icp(

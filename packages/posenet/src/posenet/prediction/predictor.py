@@ -24,6 +24,7 @@ from posenet.network.predict_options import PredictOptions
 from posenet.network.stages import ImagePoses
 from posenet.prediction.any_camera import check_distance, trained_grid
 from posenet.prediction.area_of_interest import Mask, cut_out
+from posenet.prediction.fast_network import fast_network
 from posenet.refinement.refiner import Refiner
 
 # Refinement tells two boxes of one instance from two instances, so it may have both, and more of them.
@@ -47,7 +48,8 @@ class PredictedPoses:
 class Predictor:
     """A trained model, ready to use: ``Predictor.load("model.pt").predict(depth, camera)``.
 
-    The network stays as it is: several predictors may share it.
+    The network stays as it is: several predictors may share it. A network that has learned more since needs another
+    predictor.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Predictor:
             self.options = replace(self.options, detection=limits)
         self.device = next(network.parameters()).device
         self.bf16 = layers_in_bf16(precision, self.device)
+        self.fast = fast_network(network, self.bf16)
 
     @classmethod
     def load(
@@ -152,8 +155,8 @@ class Predictor:
     def _on_grid(self, depths: list[NDArray[np.float32]], camera: Camera, grid: Camera) -> list[PredictedPoses]:
         images = torch.stack([resample(torch.from_numpy(depth), grid) for depth in depths]).to(self.device)
         intrinsics = intrinsics_of(grid).expand(len(images), 4).to(self.device)
-        with self.network.predicting(self.bf16):
-            found = self.network.predict(images, intrinsics, self.options)
+        with torch.inference_mode():
+            found = self.fast.predict(images, intrinsics, self.options)
         return [self._in_mesh_frame(image, camera, grid) for image in found]
 
     def _in_mesh_frame(self, image: ImagePoses, camera: Camera, grid: Camera) -> PredictedPoses:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from evalkit.geometry import poses
@@ -23,12 +22,12 @@ from evalkit.geometry.camera import Camera
 from evalkit.objects.depth_views import sphere_directions
 from evalkit.objects.model import ObjectModel, sample_surface_with_normals, surface_moments
 from evalkit.scoring.distances import Sym
-from posenet.network.depth_input import surface_normals
 from posenet.refinement.appearance import appearance
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
 from posenet.refinement.icp import icp
 from posenet.refinement.judge import Judge, probability, shipped_judge
 from posenet.refinement.neighbors import neighbor_columns, without_impossible_pairs
+from posenet.refinement.observed import observed
 from posenet.refinement.pose_evidence import FARTHEST, as_columns, company, search_columns
 from posenet.refinement.solid import Solid, close_pairs
 
@@ -129,12 +128,11 @@ class Fitting:
         score: Array,
         group: NDArray[np.int64],
     ) -> None:
-        self.refiner, self.depth = refiner, depth
+        self.refiner = refiner
         self.hypotheses, self.score, self.group = hypotheses, np.asarray(score, float), group
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        self.normals = observed_normals(depth, self.intrinsics)
-        # Depth and normal of a pixel side by side in memory: what is read of one is in the cache for the other.
-        self.together = np.concatenate([depth[..., None], self.normals], -1)
+        seen = observed(depth, self.intrinsics)
+        self.depth, self.normals = seen[..., 0], seen[..., 1:]
         self.tolerance = TOLERANCE * refiner.model.diameter
 
     def search(self) -> tuple[Fits, Fits]:
@@ -153,8 +151,7 @@ class Fitting:
         model, points, normals = self.refiner.model, self.refiner.points, self.refiner.normals
         moved, center, d = np.array(cam_from_obj), np.ascontiguousarray(model.centroid), model.diameter
         reach = np.linspace(*REACH, ITERATIONS) * d
-        seen, slope = self.together[..., 0], self.together[..., 1:]
-        icp(moved, points - center, normals, center, seen, slope, self.intrinsics, reach, d)
+        icp(moved, points - center, normals, center, self.depth, self.normals, self.intrinsics, reach, d)
         moved[:, :3, :3] = poses.nearest_rotation(moved[:, :3, :3])
         agreement, violation = depth_evidence(
             moved, points, normals, self.depth, self.normals, self.intrinsics, self.tolerance
@@ -222,12 +219,6 @@ def turns(cam_from_obj: Array, center: Array, sides: int, angle: float) -> Array
     rotation = turn @ cam_from_obj[:, None, :3, :3]
     middle = poses.apply(cam_from_obj, center[None])
     return poses.from_rotation_translation(rotation, middle - rotation @ center).reshape(-1, 4, 4)
-
-
-def observed_normals(depth: NDArray[np.float32], intrinsics: Array) -> NDArray[np.float32]:
-    """Normals (H, W, 3) toward the camera of a depth image (H, W)."""
-    found = surface_normals(torch.from_numpy(depth)[None], torch.from_numpy(intrinsics).float()[None])
-    return np.ascontiguousarray(found[0].permute(1, 2, 0).numpy())
 
 
 def _best_of_each(evidence: Array, group: NDArray[np.int64], count: int) -> NDArray[np.int64]:
