@@ -324,15 +324,15 @@ def plain_step(
 def test_the_kernel_takes_the_step_that_the_formulas_take(scene: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
     model, pose, depth = scene
     refiner, intrinsics = Refiner(model), np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    normals, reach = observed(depth, intrinsics)[..., 1:], 0.1 * model.diameter
+    seen, reach = observed(depth, intrinsics), 0.1 * model.diameter
     starts = disturbed(pose, np.random.default_rng(3), 10, 0.002, np.radians(6))
     moved = starts.copy()
     icp(
-        moved, refiner.points - model.centroid, refiner.normals, model.centroid, depth, normals, intrinsics,
+        moved, refiner.points - model.centroid, refiner.normals, model.centroid, seen, intrinsics,
         np.array([reach]), model.diameter,
     )  # fmt: skip
     for start, one in zip(starts, moved, strict=True):
-        wanted, drawn = plain_step(start, refiner, depth, normals, reach)
+        wanted, drawn = plain_step(start, refiner, depth, seen[..., 1:], reach)
         assert drawn > 50
         np.testing.assert_allclose(one, wanted, atol=1e-6)
         assert np.abs(one - start).max() > 1e-4

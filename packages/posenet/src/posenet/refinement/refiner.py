@@ -131,8 +131,8 @@ class Fitting:
         self.refiner = refiner
         self.hypotheses, self.score, self.group = hypotheses, np.asarray(score, float), group
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        seen = observed(depth, self.intrinsics)
-        self.depth, self.normals = seen[..., 0], seen[..., 1:]
+        self.observed = observed(depth, self.intrinsics)
+        self.depth, self.normals = self.observed[..., 0], self.observed[..., 1:]
         self.tolerance = TOLERANCE * refiner.model.diameter
 
     def search(self) -> tuple[Fits, Fits]:
@@ -151,7 +151,7 @@ class Fitting:
         model, points, normals = self.refiner.model, self.refiner.points, self.refiner.normals
         moved, center, d = np.array(cam_from_obj), np.ascontiguousarray(model.centroid), model.diameter
         reach = np.linspace(*REACH, ITERATIONS) * d
-        icp(moved, points - center, normals, center, self.depth, self.normals, self.intrinsics, reach, d)
+        icp(moved, points - center, normals, center, self.observed, self.intrinsics, reach, d)
         moved[:, :3, :3] = poses.nearest_rotation(moved[:, :3, :3])
         agreement, violation = depth_evidence(
             moved, points, normals, self.depth, self.normals, self.intrinsics, self.tolerance
