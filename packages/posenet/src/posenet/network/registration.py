@@ -230,8 +230,12 @@ class GossipBlock(nn.Module):
         """state (n, width), relation (P, pair_width), pairs (P, 2), pairs of each (n,) -> state (n, width)."""
         listener, neighbor = pairs.unbind(1)
         reduced = self.reduce(state)
-        heard = self.own(reduced)[listener] + self.other(reduced)[neighbor] + self.relation(relation)
-        strongest = max_by_listener(self.message(F.relu(heard)), counts)
+        heard = self.own(reduced)[listener]
+        heard += self.other(reduced)[neighbor]
+        heard += self.relation(relation)
+        linear, rectifier = self.message
+        # The strongest is rectified: so few, and it is the strongest of those that are rectified one by one.
+        strongest = rectifier(max_by_listener(linear(heard.relu_()), counts))
         return F.relu(state + self.tell(self.digest(strongest)))
 
 
