@@ -70,6 +70,7 @@ class PostProcessing:
         moved, size = np.array(cam_from_obj), self.model.diameter
         center = np.ascontiguousarray(self.model.centroid)
         steps = np.linspace(*reach, ITERATIONS) * size
-        icp(moved, self.points - center, self.normals, center, depth, normals, intrinsics, steps, size)
+        observed = np.concatenate([depth[..., None], normals], -1)
+        icp(moved, self.points - center, self.normals, center, observed, intrinsics, steps, size)
         moved[:, :3, :3] = poses.nearest_rotation(moved[:, :3, :3])
         return moved
