@@ -28,7 +28,14 @@ Array = NDArray[np.float64]
 SENSORS = ("stereo", "kinect", "ideal")
 PILES = {"bunny": 3, "gear": 3, "brick": 3, "candlestick": 2, "cup": 2, "connector": 2}  # under so many of SENSORS
 SEEDS = dict(zip(PILES, (7001, 7004, 7007, 7201, 7203, 7205), strict=True))  # of an object's first pile
-FOREIGN = (("bunny", "cup"), ("gear", "bunny"), ("connector", "brick"), ("bunny", "gear"))  # looked for, what is there
+FOREIGN = (
+    ("bunny", "cup"),
+    ("gear", "bunny"),
+    ("connector", "brick"),
+    ("bunny", "gear"),
+    ("cup", "gear"),
+    ("gear", "cup"),
+)  # looked for, what is there
 NOBODY = Judge(FORMAT, Regression(0.0, {}), Regression(0.0, {}))
 
 

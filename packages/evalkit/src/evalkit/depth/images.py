@@ -62,6 +62,16 @@ class Reading:
         depth = self._as_taken_by(camera, read_depth(path, self.depth_unit, self.no_return, self.integer_unit), path)
         return depth * _cosines(camera) if self.along_ray else depth
 
+    def size(self, path: Path) -> tuple[int, int]:
+        """Width and height of the image, turned.
+
+        Raises:
+            InputError: the file cannot be used.
+        """
+        is_cloud = path.suffix.lower() in point_cloud.SUFFIXES
+        height, width = (point_cloud.read_grid(path) if is_cloud else _read_values(path)).shape[:2]
+        return (width, height) if self.turned % 180 == 0 else (height, width)
+
     def _as_taken_by(self, camera: Camera, depth: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
         depth = np.rot90(depth, -self.turned // 90)
         if depth.shape != (camera.height, camera.width):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -144,7 +145,7 @@ def open_images(
     elif camera_file is None:
         raise InputError(f"{path}: a depth image needs its camera: give --camera camera.json.")
     else:
-        found = read_camera(camera_file, rectified)
+        found = read_camera(camera_file, rectified, partial(reading.size, files[0]))
         camera, reading = found.camera, replace(reading, lens=found.lens)
         remarks += found.remarks
         if found.lens is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -107,9 +108,10 @@ class Camera:
             raise InputError(f"{where}: {error}") from None
 
     @classmethod
-    def load(cls, path: Path | str) -> Camera:
+    def load(cls, path: Path | str, image_size: Callable[[], tuple[int, int]] | None = None) -> Camera:
         """Read the pinhole camera of any file that :func:`evalkit.geometry.camera_files.read_camera` knows.
 
+        `image_size` gives width and height where the file holds nothing but a camera matrix, and a warning says so.
         What the file has beyond it, such as distortion, is logged as a warning; `read_camera` gives it.
 
         Raises:
@@ -117,7 +119,7 @@ class Camera:
         """
         from evalkit.geometry.camera_files import distortion_warning, read_camera
 
-        found = read_camera(path)
+        found = read_camera(path, image_size=image_size)
         for remark in found.remarks:
             log.warning(remark)
         if found.lens is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,9 @@ NAMES = {
         "distortioncoefficients", "distcoeffs", "dist", "d", "d1", "coeffs", "distortioncoeffs", "distcoef",
         "distortioncoefs", "distortionparameters", "distortionparams", "distcoefs",
     ),
-    "model": ("distortionmodel", "modeltype", "lensmodel"), "cameramodel": (), "intrinsics": (),
+    "model": ("distortionmodel", "modeltype", "lensmodel"), "cameramodel": ("cameratype",), "intrinsics": (),
     "fisheye": ("fisheyemodel", "isfisheye"),
-    "roi": (), "binningx": (), "binningy": (), "depthscale": (), "colmap": (),
+    "roi": (), "binningx": (), "binningy": (), "depthscale": (), "depthmapfactor": (), "colmap": (),
 }  # fmt: skip
 RADIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order
 CANONICAL = {alias: name for name, aliases in NAMES.items() for alias in (name, *aliases)} | {k: k for k in RADIAL}
@@ -47,6 +48,8 @@ def find_camera(document: Any, where: str) -> Fields:
     Raises:
         InputError: there is none, there are several, or two fields say different things.
     """
+    if isinstance(document, list) and len(document) in (3, 9):
+        document = {"matrix": document}  # nothing but a camera matrix
     if not isinstance(document, dict):
         raise InputError(f"{where}: holds no camera; {FORMATS}.")
     fields = canonical(document, where)
@@ -67,7 +70,7 @@ def find_camera(document: Any, where: str) -> Fields:
 
 
 def _has_camera(document: dict[Any, Any], depth: int = 3) -> bool:
-    keys = {CANONICAL.get(_plain(key)) for key in document}
+    keys = {_name(key) for key in document}
     if MAIN & keys or any(_plain(key) == "intrinsics" and isinstance(value, list) for key, value in document.items()):
         return True
     return depth > 0 and any(_has_camera(value, depth - 1) for value in document.values() if isinstance(value, dict))
@@ -81,7 +84,7 @@ def canonical(document: dict[Any, Any], where: str) -> Fields:
     """
     fields: Fields = {}
     for key, value in document.items():
-        name = CANONICAL.get(_plain(key))
+        name = _name(key)
         if name is None or value is None or (name == "colmap" and not isinstance(value, ColmapRows)):
             continue
         opened = canonical(value, where) if isinstance(value, dict) and name in ("matrix", "distortion") else {}
@@ -125,8 +128,14 @@ def _agree(first: Any, second: Any) -> bool:
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=SAME, atol=SAME))
 
 
+def _name(key: Any) -> str | None:
+    """The canonical name of a field; ORB-SLAM writes Camera.fx and Camera1.fx."""
+    plain = _plain(key)
+    return CANONICAL.get(plain) or CANONICAL.get(re.sub("^camera1?", "", plain))
+
+
 def _plain(key: Any) -> str:
-    return str(key).lower().replace("_", "").replace("-", "").replace(" ", "")
+    return re.sub("[-_. ]", "", str(key).lower())
 
 
 def number(fields: Fields, name: str, where: str) -> float:

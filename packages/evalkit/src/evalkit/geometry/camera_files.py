@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,18 @@ from evalkit.errors import InputError
 from evalkit.geometry import camera_text
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.camera_fields import RADIAL, Fields, add_field, find_camera, number, numbers
+from evalkit.geometry.camera_matrix import NEGLIGIBLE, SAME_PIXELS, camera_matrix, matrix_field
 from evalkit.geometry.camera_window import windowed
 from evalkit.geometry.lens import Lens
 
+SIZES = {"width", "height", "roi", "binningx", "binningy"}  # fields that say a size, or need one to mean anything
 FISHEYES = ("equidistant", "fisheye", "kannala", "omni", "mei", "unified", "ftheta", "f-theta", "eucm", "ds")
 KNOWN_LENSES = (
     "plumb_bob", "rational_polynomial", "brown", "radtan", "none", "pinhole", "opencv", "perspective", "radial", "",
 )  # fmt: skip
 REALSENSE = {0: "none", 1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 4: "brown_conrady"}
 SAME_COEFFICIENT = 1e-6
-NEGLIGIBLE = 1e-9  # distortion coefficients and skew per focal length that are written out as good as zero
-PLACES = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2), "skew": (0, 1)}  # in the camera matrix
-SAME_PIXELS = 1e-3  # by which K and P differ when they are the same camera
+FARTHEST_OFF = 0.25  # of the image's sides, from its middle to the principal point, that nobody's camera exceeds
 BOP_SCALES = (0.01, 10.0)  # millimeters a step; a depth_scale beyond is of another convention
 # COLMAP's parameters by camera model, in the order in which cameras.txt has them
 COLMAP = {
@@ -52,11 +53,15 @@ class CameraFile:
     depth_unit: float | None = None
 
 
-def read_camera(path: Path | str, rectified: bool = False) -> CameraFile:
+ImageSize = Callable[[], tuple[int, int]]  # width and height, looked up only where a file does not say them
+
+
+def read_camera(path: Path | str, rectified: bool = False, image_size: ImageSize | None = None) -> CameraFile:
     """Read a camera of ours, BOP, ROS, OpenCV, RealSense, Open3D, Zivid, Kalibr, nerfstudio, COLMAP or Siléane.
 
     Args:
         rectified: the images were rectified; they then follow the projection matrix P of a ROS camera_info.
+        image_size: of the camera's images, for files without it, as a bare camera matrix.
 
     Raises:
         InputError: it is none of these, its fields contradict each other, or it is no pinhole camera's.
@@ -65,8 +70,12 @@ def read_camera(path: Path | str, rectified: bool = False) -> CameraFile:
     where = str(path)
     fields = _expanded(find_camera(_one_of_a_scene(camera_text.parse(Path(path)), Path(path)), where), where)
     _refuse_fisheye(fields, where)
-    matrix, source = _camera_matrix(fields, where, rectified)
-    window, remarks = windowed(_size(fields, where), fields, where)
+    matrix, source = camera_matrix(fields, where, rectified)
+    sizeless = image_size is not None and not SIZES & set(fields)
+    size = _size_of_images(image_size(), matrix, where) if image_size and sizeless else _size(fields, where)
+    window, remarks = windowed(size, fields, where)
+    if sizeless:
+        remarks = [f"holds no image size; that of the images, {size[0]} x {size[1]}, is taken.", *remarks]
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     full = Camera.from_json(
         {"width": window.full[0], "height": window.full[1], "fx": fx, "fy": fy, "cx": cx, "cy": cy}, where
@@ -150,7 +159,10 @@ def _size(fields: Fields, where: str) -> tuple[int, int]:
     sides = []
     for side in ("width", "height"):
         if side not in fields:
-            raise InputError(f"{where}: holds a camera but no image size; add image_{side}, in pixels.")
+            raise InputError(
+                f"{where}: holds a camera but no image size; add image_{side}, in pixels, or write width, height, fx, "
+                "fy, cx, cy as JSON."
+            )
         value = number(fields, side, where)
         if value != int(value):
             raise InputError(f"{where}: '{side}' must be a whole number of pixels.")
@@ -158,53 +170,19 @@ def _size(fields: Fields, where: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _camera_matrix(fields: Fields, where: str, rectified: bool) -> tuple[NDArray[np.float64], str]:
-    """The intrinsics (3, 3) that the images follow, skew included, and the name of the field that they came from."""
-    names = [name for name in ("matrix", "projection") if name in fields]
-    known = {name: _matrix(fields, name, where) for name in names}
-    single = {name: number(fields, name, where) for name in PLACES if name in fields}
-    if "matrix" in known:
-        _compare(known["matrix"], single, where)
-    elif set(single) - {"skew"}:
-        known["matrix"] = np.eye(3)
-        for name in PLACES:
-            if name != "skew" or name in single:
-                known["matrix"][PLACES[name]] = number(fields, name, where)
-    if "projection" in known and (rectified or "matrix" not in known):
-        return known["projection"], "projection"
-    return known["matrix"], "matrix"
-
-
-def _compare(matrix: NDArray[np.float64], single: dict[str, float], where: str) -> None:
-    """Hold single numbers against a camera matrix (3, 3), which takes the skew from them where it has none.
+def _size_of_images(size: tuple[int, int], matrix: NDArray[np.float64], where: str) -> tuple[int, int]:
+    """The size that images have, if a camera of this matrix (3, 3) may have taken them.
 
     Raises:
-        InputError: they contradict it.
+        InputError: the principal point is far from their middle, so that it was calibrated for images of another size.
     """
-    for name, value in single.items():
-        if name == "skew" and matrix[PLACES[name]] == 0:
-            matrix[PLACES[name]] = value
-        elif abs(matrix[PLACES[name]] - value) > SAME_PIXELS:
-            raise InputError(
-                f"{where}: '{name}' is {value:g}, but {matrix[PLACES[name]]:g} in the camera matrix; keep the one that "
-                "is right."
-            )
-
-
-def _matrix(fields: Fields, name: str, where: str) -> NDArray[np.float64]:
-    columns, key = (4, "P") if name == "projection" else (3, "K")
-    values = numbers(fields[name], where, key)
-    if len(values) != 3 * columns:
-        raise InputError(f"{where}: '{key}' must hold {3 * columns} numbers, row by row, as camera_info has it.")
-    matrix = values.reshape(3, columns)[:, :3]
-    if matrix[0, 0] == 0 and matrix[1, 1] == 0:
+    off = np.abs(matrix[:2, 2] - (np.array(size) - 1) / 2) / size
+    if off.max() > FARTHEST_OFF:
         raise InputError(
-            f"{where}: '{key}' is all zeros, as of a camera that was never calibrated; calibrate it first."
+            f"{where}: its principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) is far from the middle of images of "
+            f"{size[0]} x {size[1]} pixels, so it is of another size; give the camera matrix of this one."
         )
-    zeros = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
-    if not zeros <= NEGLIGIBLE * max(1.0, abs(matrix[0, 0])):
-        raise InputError(f"{where}: '{key}' must be fx skew cx, 0 fy cy, 0 0 1, row by row; write it so.")
-    return matrix.copy()
+    return size
 
 
 def _refuse_fisheye(fields: Fields, where: str) -> None:
@@ -266,8 +244,8 @@ def _matrix_remarks(fields: Fields, source: str, rectified: bool, lens: Lens | N
         )
         frame = " Poses are then in the rectified camera's frame, which R turns." if turned else ""
         return [f"the projection matrix P is followed, as by rectified images (image_rect).{frame}"]
-    other = _matrix(fields, "projection", where)
-    matrix = _camera_matrix(fields, where, False)[0]
+    other = matrix_field(fields, "projection", where)
+    matrix = camera_matrix(fields, where, False)[0]
     if lens is None and np.abs(other - matrix).max() <= SAME_PIXELS:
         return []
     return [
@@ -277,7 +255,9 @@ def _matrix_remarks(fields: Fields, source: str, rectified: bool, lens: Lens | N
 
 
 def _depth_unit(fields: Fields, where: str, remarks: list[str]) -> float | None:
-    """Meters a step by BOP's depth_scale, which counts millimeters."""
+    """Meters a step by BOP's depth_scale, which counts millimeters, or ORB-SLAM's DepthMapFactor, steps a meter."""
+    if "depthmapfactor" in fields and number(fields, "depthmapfactor", where) > 0:
+        return 1.0 / number(fields, "depthmapfactor", where)
     if "depthscale" not in fields:
         return None
     scale = number(fields, "depthscale", where)

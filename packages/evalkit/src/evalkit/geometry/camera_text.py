@@ -1,12 +1,14 @@
-"""The text of a camera file as a document: JSON, YAML, OpenCV's FileStorage (YAML 1.0, XML, JSON), lines of words."""
+"""A camera file as a document: JSON, YAML, OpenCV's FileStorage (YAML 1.0, XML, JSON), lines of words, NPY."""
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import yaml
 
 from evalkit.errors import InputError
@@ -15,6 +17,7 @@ FORMATS = (
     "give width, height, fx, fy, cx, cy as JSON, a BOP camera.json, a ROS camera_info, OpenCV's calibration file, or "
     "what RealSense, Open3D, Zivid, Kalibr, COLMAP or Siléane write"
 )
+NPY = b"\x93NUMPY"
 LARGEST_FILE = 1 << 20  # bytes; such files hold a few hundred
 
 
@@ -44,6 +47,8 @@ def parse(path: Path) -> Any:
         raise InputError(f"{path}: too large for a camera file; {FORMATS}.")
     kind = "camera"
     try:
+        if raw.startswith(NPY):
+            return np.load(io.BytesIO(raw), allow_pickle=False).tolist()
         text = raw.decode("utf-8-sig")
         kind, read = _reader(text.lstrip(), path.suffix.lower())
         return read(text)
@@ -91,9 +96,16 @@ def _element(element: ElementTree.Element) -> Any:
     return values if element.tag == "data" or len(values) != 1 else values[0]
 
 
-def _lines(text: str) -> dict[str, Any]:
-    """Lines ``key value …`` as Siléane's camera_params.txt has them; COLMAP's rows come under 'colmap'."""
-    rows = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+def _lines(text: str) -> Any:
+    """Lines ``key value …`` as Siléane's camera_params.txt has them; COLMAP's rows come under 'colmap'.
+
+    Numbers alone are rows of a matrix, as numpy.savetxt writes it.
+    """
+    lines = (line.replace(",", " ") for line in text.splitlines())
+    rows = [line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    matrix = [[_number(word) for word in row] for row in rows]
+    if matrix and not any(isinstance(value, str) for row in matrix for value in row):
+        return matrix if len(matrix) > 1 else matrix[0]
     if rows and all(len(row) >= 5 and row[0].isdecimal() and row[1].isupper() for row in rows):
         return {"colmap": ColmapRows([_number(word) for word in row] for row in rows)}
     lists = {row[0].rstrip(":="): [_number(word) for word in row[1:] if word not in ":="] for row in rows}

@@ -213,9 +213,7 @@ def configured(
     if sensor_text is not None:
         changes["sensor"] = parse_sensor(sensor_text)
     if camera_file is not None:
-        if width is not None or height is not None:
-            raise InputError("--camera: the file gives the image's size; leave --width and --height out.")
-        changes["camera"] = Camera.load(camera_file)
+        changes["camera"] = _camera(camera_file, width, height)
     elif width is not None or height is not None:
         sides = (preset.camera.width if width is None else width, preset.camera.height if height is None else height)
         changes["camera"] = default_camera(*sides)
@@ -237,6 +235,18 @@ def configured(
     pile: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     changes["viewpoints"], changes["pile"] = replace(preset.viewpoints, **views), replace(preset.pile, **pile)
     return replace(preset, **changes)
+
+
+def _camera(path: Path, width: int | None, height: int | None) -> Camera:
+    """The camera of a file; its size is --width x --height where the file does not say one."""
+    given = (width, height) if width is not None and height is not None else None
+    camera = Camera.load(path, None if given is None else lambda: given)
+    if (width, height) != (None, None) and given != (camera.width, camera.height):
+        raise InputError(
+            f"--camera {path}: the file gives the image's size, {camera.width} x {camera.height}; leave --width and "
+            "--height out."
+        )
+    return camera
 
 
 def _distractors(known: DistractorConfig | None, text: str | None, share: float | None) -> DistractorConfig | None:
