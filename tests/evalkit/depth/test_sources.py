@@ -183,3 +183,22 @@ def test_a_camera_beside_a_folders_images_is_taken_and_that_is_said(tmp_path: Pa
     assert source.camera == CAMERA
     np.testing.assert_allclose(source.read(0), depth_image(1), atol=0.51e-4)
     assert "camera.json" in source.remarks[0]
+
+
+def test_pictures_and_meshes_beside_depth_images_are_left_out_and_that_is_said(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "frames")
+    for name, picture in (("color_a", np.zeros((30, 40, 3), np.uint8)), ("mask_a", np.zeros((30, 40), np.uint8))):
+        cv2.imwrite(str(folder / f"{name}.png"), picture)
+    cv2.imwrite(str(folder / "color_deep.png"), np.zeros((30, 40, 3), np.uint16))
+    (folder / "part.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\n")
+    source = open_source(folder, write_camera(tmp_path), 1e-4)
+    assert source.names == ["a", "b", "c"]
+    assert [remark for remark in source.remarks if "left out is what holds none" in remark and "3 more" in remark]
+
+
+def test_pictures_alone_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    cv2.imwrite(str(tmp_path / "frames" / "color.png"), np.zeros((30, 40, 3), np.uint8))
+    source = open_source(tmp_path / "frames", write_camera(tmp_path), 1e-4)
+    with pytest.raises(InputError, match=r"color\.png"):
+        source.read(0)

@@ -19,6 +19,7 @@ from evalkit.depth.images import SUFFIXES, Reading
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.camera_files import read_camera
+from evalkit.image_file import is_picture
 from evalkit.objects.model import ObjectModel
 
 SOURCES = (
@@ -131,11 +132,11 @@ def open_images(
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; give {SOURCES}.")
-    files = _images_in(path) if path.is_dir() else [path]
+    files, beside_them = _images_in(path) if path.is_dir() else ([path], [])
     beside = next(
         (folder / "camera.json" for folder in (files[0].parent, path) if (folder / "camera.json").is_file()), None
     )
-    reading, remarks = reading or Reading(), []
+    reading, remarks = reading or Reading(), list(beside_them)
     if camera_file is None and beside is not None and path.is_dir():
         camera_file = beside
         remarks.append(f"{beside}: is taken as the images' camera; --camera gives another.")
@@ -230,12 +231,20 @@ def _is_shards(path: Path) -> bool:
     return path.suffix.lower() in (".h5", ".hdf5")
 
 
-def _images_in(folder: Path) -> list[Path]:
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
-    if not files:
+def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
+    """The depth images of a folder, and a remark on what else is there: color images, masks, a part's mesh."""
+    every = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    if not every:
         raise InputError(f"{folder}: holds neither shards nor depth images; give {SOURCES}.")
+    files = [file for file in every if not is_picture(file)]
+    images = [file for file in files if file.suffix.lower() not in point_cloud.SUFFIXES]
+    files = images or files or every
     by_name = {file.stem: file for file in files}
     twin = next((file for file in files if by_name[file.stem] != file), None)
     if twin is not None:
         raise InputError(f"{twin}: has the same name as {by_name[twin.stem].name}; keep one image of each name.")
-    return files
+    others = [file.name for file in every if file not in set(files)]
+    if not others:
+        return files, []
+    more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+    return files, [f"{folder}: {len(files)} depth images are read; left out is what holds none, {others[0]}{more}."]
