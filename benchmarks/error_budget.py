@@ -178,7 +178,7 @@ class Study:
         self.dataset = ShardDataset(shards)
         self.frames = np.unique(np.linspace(0, len(self.dataset) - 1, images).round().astype(int)).tolist()
         self.predictors = [Predictor.load(model, device, refine) for refine in (False, True)]
-        self.networks = [predictor.network for predictor in self.predictors]
+        self.networks = [predictor.fast for predictor in self.predictors]
         self.detectors = [network.detector for network in self.networks]
         for network in self.networks:
             network.__class__ = PartlyTrueNetwork

@@ -23,8 +23,7 @@ def looked(run_folder: Path, debug_shards: Path) -> LookedAt:
 
 
 def test_what_is_drawn_is_what_is_predicted(looked: LookedAt, run_folder: Path) -> None:
-    predictor = Predictor.load(run_folder, "cpu")
-    predictor.bf16 = False
+    predictor = Predictor.load(run_folder, "cpu", precision="float32")
     found = predictor.predict(looked.view.depth, looked.view.camera)
     np.testing.assert_allclose(np.sort(looked.score)[::-1], found.score, atol=1e-4)
 

@@ -247,4 +247,5 @@ def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     if not others:
         return files, []
     more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-    return files, [f"{folder}: {len(files)} depth images are read; left out is what holds none, {others[0]}{more}."]
+    count = "one depth image is" if len(files) == 1 else f"{len(files)} depth images are"
+    return files, [f"{folder}: {count} read; left out is what holds none, {others[0]}{more}."]
