@@ -37,9 +37,9 @@ class Rank:
 
     def fabric(self, device: torch.device, logger: Logger | None) -> Fabric:
         """Fabric for this process's device, joined with the other processes."""
+        logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # it greets, and wants geometry in TF32 on GPUs
         if self.size == 1:
             return Fabric(accelerator=device.type, devices=1, loggers=logger)
-        logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # it greets
         backend = "nccl" if device.type == "cuda" else "gloo"
         strategy = DDPStrategy(process_group_backend=backend, timeout=PATIENCE)
         fabric = Fabric(
