@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -10,6 +12,7 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LEFT_ALONE = 2  # exit code of a process whose parent is gone
 
 
 class Interruption:
@@ -47,3 +50,16 @@ class Interruption:
         if not self._holding:
             raise KeyboardInterrupt
         self._pending = True
+
+
+def leave_to_the_parent() -> None:
+    """Called first in a process that another started: Ctrl-C reaches both, and the parent decides; it ends with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(LEFT_ALONE)

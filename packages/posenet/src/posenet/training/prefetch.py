@@ -7,9 +7,6 @@ and then stands in line behind all that make items. An H200 took 220 ms for step
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -18,9 +15,9 @@ from typing import Any, Generic, TypeVar
 import torch
 
 from evalkit.errors import InputError
+from posenet.training.interruption import leave_to_the_parent
 
 Item = TypeVar("Item")
-ENDED = 2  # exit code of a process whose parent is gone
 
 _make: Callable[[int], Any]  # in a process that makes items
 
@@ -67,17 +64,9 @@ def _begin(make: Callable[[int], Any]) -> None:
     """The first thing that each process does."""
     global _make
     _make = make
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes, and the parent decides
+    leave_to_the_parent()
     torch.set_num_threads(1)
-    threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
 def _made(number: int) -> Any:
     return _make(number)
-
-
-def _end_with_the_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(ENDED)

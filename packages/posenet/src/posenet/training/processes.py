@@ -12,7 +12,6 @@ import contextlib
 import logging
 import multiprocessing
 import os
-import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -23,6 +22,7 @@ import torch
 from torch import distributed
 
 from evalkit.errors import InputError
+from posenet.training.interruption import leave_to_the_parent
 from posenet.training.rank import ALONE, Rank
 
 READY = "ready"
@@ -154,9 +154,8 @@ class _Watch(threading.Thread):
 
 def _follow(rank: Rank, work: Callable[[Rank], None], threads: int, outbox: Connection) -> None:
     """All that a process beside the leader does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes, and the leader decides
+    leave_to_the_parent()
     torch.set_num_threads(threads)
-    threading.Thread(target=_end_with_the_leader, daemon=True).start()
     outbox.send_bytes(READY.encode())
     try:
         work(rank)
@@ -168,13 +167,6 @@ def _follow(rank: Rank, work: Callable[[Rank], None], threads: int, outbox: Conn
         _say(outbox, f"{rank.title} failed ({type(error).__name__}: {error}), so training stopped.")
         os._exit(FAILED)
     os._exit(0)  # without the farewells of a process group that may have lost its leader
-
-
-def _end_with_the_leader() -> None:
-    leader = multiprocessing.parent_process()
-    assert leader is not None
-    leader.join()
-    os._exit(FAILED)
 
 
 def _say(outbox: Connection, words: str) -> None:
