@@ -20,6 +20,7 @@ from evalkit import (
     write_predictions,
 )
 from evalkit.geometry.camera import Camera
+from evalkit.geometry.poses import from_rotation_translation, invert
 
 CAMERA = Camera(640, 480, 600.0, 601.0, 319.5, 239.5)
 JUNK = st.one_of(
@@ -151,6 +152,22 @@ def test_a_byte_order_mark_is_let_pass(documents):
     path = documents / "preds.json"
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     assert read_predictions(path).images
+
+
+def test_a_mesh_whose_origin_lies_far_off_scores_like_any_other(plain_model, make_crowd, tmp_path):
+    predictions, truth = make_crowd(plain_model, 0)
+    before = average_precision(predictions, truth).ap
+    model = plain_model.with_origin([200.0, -300.0, 100.0])
+    moved = from_rotation_translation(np.eye(3), [-200.0, 300.0, -100.0])
+
+    def far(images):
+        return [replace(image, cam_from_obj=image.cam_from_obj @ invert(moved)) for image in images]
+
+    write_ground_truth(tmp_path / "gt.json", replace(truth, object=model, images=far(truth.images)))
+    reference = {"name": model.name, "box_center": (plain_model.centroid + moved[:3, 3]).tolist()}
+    write_predictions(tmp_path / "preds.json", replace(predictions, object=reference, images=far(predictions.images)))
+    truth, predictions = read_ground_truth(tmp_path / "gt.json"), read_predictions(tmp_path / "preds.json")
+    assert average_precision(predictions, truth).ap == pytest.approx(before, abs=1e-6)
 
 
 def test_published_rounding_is_accepted(documents):

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -138,7 +138,7 @@ def read_ground_truth(path: Path | str) -> GroundTruth:
     if bad:
         raise InputError(f"{path}: image '{ids[bad[0]]}': every 'visibility' must lie between 0 and 1.")
     cameras = [_camera(path, entry) for entry in entries]
-    poses = checked_poses(_places(path, ids), rows, _GT)
+    poses = checked_poses(_places(path, ids), rows, _GT, model.centroid)
     share = read_share(path, document)
     others = [other_share(row, share) for row in rows]
     images = [GroundTruthImage(*parts) for parts in zip(ids, cameras, poses, _values(rows), others, strict=True)]
@@ -156,11 +156,10 @@ def read_predictions(path: Path | str) -> Predictions:
     entries = _entries(path, document, _PREDS)
     ids, rows = [entry["id"] for entry in entries], [entry["hypotheses"] for entry in entries]
     times = [_time(path, entry) for entry in entries]
-    images = [
-        PredictionImage(*parts)
-        for parts in zip(ids, checked_poses(_places(path, ids), rows, _PREDS), _values(rows), times, strict=True)
-    ]
-    return Predictions(checked_reference(path, document.get("object")), images, _frame(path, document), str(path))
+    blank = Predictions(checked_reference(path, document.get("object")), [], _frame(path, document), str(path))
+    poses = checked_poses(_places(path, ids), rows, _PREDS, blank.box_center)
+    images = [PredictionImage(*parts) for parts in zip(ids, poses, _values(rows), times, strict=True)]
+    return replace(blank, images=images)
 
 
 def write_ground_truth(path: Path | str, truth: GroundTruth) -> None:

@@ -101,8 +101,14 @@ def first_fault(rows: Any, layout: Layout) -> str:
     return f"the field '{layout.rows}' mixes kinds of values."
 
 
-def checked_poses(names: Sequence[str], rows: Sequence[Rows], layout: Layout) -> list[Array]:
-    """The images' poses (n, 4, 4), checked in one go; `names` names the images in messages."""
+def checked_poses(
+    names: Sequence[str], rows: Sequence[Rows], layout: Layout, center: Array | None = None
+) -> list[Array]:
+    """The images' poses (n, 4, 4), checked in one go; `names` names the images in messages.
+
+    `center` (3,) is a point of the object: how far off it is counts, for a mesh's origin may lie anywhere. Without it
+    that is the origin.
+    """
     counts = [len(row.value) for row in rows]
     rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
     translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
@@ -112,7 +118,7 @@ def checked_poses(names: Sequence[str], rows: Sequence[Rows], layout: Layout) ->
         (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
         (np.isfinite(value), f"'{layout.value}' is not finite"),
         (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
-        ((np.abs(translation) <= FARTHEST).all(1), f"'t' lies beyond {FARTHEST:g} m; give meters, not millimeters"),
+        (_near(rotation, translation, center), f"'t' lies beyond {FARTHEST:g} m; give meters, not millimeters"),
     ]
     for holds, complaint in laws:
         if not holds.all():
@@ -122,3 +128,9 @@ def checked_poses(names: Sequence[str], rows: Sequence[Rows], layout: Layout) ->
             raise InputError(f"{names[image]}: {layout.row} {number}: the field {complaint}.")
     stacked = poses.from_rotation_translation(rotation, translation)
     return np.split(stacked, np.cumsum(counts)[:-1]) if counts else []
+
+
+def _near(rotation: Array, translation: Array, center: Array | None) -> NDArray[np.bool_]:
+    """Which of the poses (n, 3, 3) and (n, 3) leave the object where a bin-picking camera could see it, as (n,)."""
+    place = translation if center is None else rotation @ center + translation
+    return (np.abs(place) <= FARTHEST).all(1)
