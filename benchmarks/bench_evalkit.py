@@ -14,9 +14,9 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit import (
     GroundTruth,
@@ -133,7 +133,7 @@ def crowd(images: int, seed: int = 0) -> tuple[Predictions, GroundTruth]:
     )
 
 
-def random_poses(rng: np.random.Generator, images: int, count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def random_poses(rng: np.random.Generator, images: int, count: int) -> NDArray[np.float64]:
     rotation = poses.random_rotations(rng, images * count).reshape(images, count, 3, 3)
     return poses.from_rotation_translation(rotation, rng.uniform(-0.2, 0.2, (images, count, 3)) + np.array([0, 0, 1.0]))
 

@@ -104,7 +104,7 @@ def tube_along(path: Array, radius: float, sides: int = 20, loop: bool = False) 
     here, there = k * sides, (k + 1) % count * sides
     a, b = here + s, here + (s + 1) % sides
     c, d = there + (ahead_s + 1) % sides, there + ahead_s % sides
-    faces = [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    faces: list[NDArray[np.int64]] = [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
     vertices = np.concatenate(rings)
     if not loop:
         fan = np.arange(1, sides - 1)

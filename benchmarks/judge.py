@@ -56,8 +56,8 @@ def main() -> None:
 def learned(piles: list[Pile]) -> Judge:
     """A judge from piles, each of which counts the same."""
     columns = [image.finalists.alone for pile in piles for image in pile.images]
-    near = [image.near.astype(float) for pile in piles for image in pile.images]
-    weights = [np.full(len(image.near), weight(pile)) for pile in piles for image in pile.images]
+    near: list[Array] = [image.near.astype(float) for pile in piles for image in pile.images]
+    weights: list[Array] = [np.full(len(image.near), weight(pile)) for pile in piles for image in pile.images]
     alone = fitted(columns, near, weights, ALONE)
     columns, right, weights = [], [], []
     for pile in piles:

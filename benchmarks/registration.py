@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
@@ -57,7 +58,7 @@ class Claims:
     relations: Relations
     seen: Tensor  # (H, F) float16
     labels: Tensor  # (H,) +1, -1, 0
-    poses: np.ndarray  # (H, 4, 4)
+    poses: NDArray[np.float64]  # (H, 4, 4)
 
 
 def main() -> None:

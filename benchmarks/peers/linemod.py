@@ -119,10 +119,11 @@ def view_rotations(model: ObjectModel) -> Array:
     turn = poses.from_axis_angle(np.broadcast_to([0.0, 0.0, 1.0], (TURNS, 3)), angle)
     rotation = (turn[None] @ tilt[:, None]).reshape(-1, 3, 3)
     posed = centered_at(model, rotation, np.zeros((len(rotation), 3)))
-    distance, kept = Sym(model), np.zeros(0, np.int64)
+    distance = Sym(model)
+    kept: list[int] = []
     for row, pose in enumerate(posed):
-        if len(kept) == 0 or distance(pose[None], posed[kept]).min() >= DISTINCT * model.diameter:
-            kept = np.append(kept, row)
+        if not kept or distance(pose[None], posed[kept]).min() >= DISTINCT * model.diameter:
+            kept.append(row)
     return np.asarray(rotation[kept])
 
 

@@ -62,9 +62,9 @@ def _fields(header: dict[str, list[str]]) -> list[tuple[str, str, int]]:
 
 def _columns(data: str, body: bytes, rows: list[tuple[str, str, int]], count: int) -> dict[str, NDArray[Any]]:
     if data == "ascii":
-        table = np.array(body.split()[: count * sum(c for _, _, c in rows)], dtype=float).reshape(count, -1)
+        lines = np.array(body.split()[: count * sum(c for _, _, c in rows)], dtype=float).reshape(count, -1)
         starts = np.cumsum([0, *(c for _, _, c in rows)])
-        return {name: table[:, start] for (name, _, _), start in zip(rows, starts, strict=False)}
+        return {name: lines[:, start] for (name, _, _), start in zip(rows, starts, strict=False)}
     if data == "binary":
         table = np.frombuffer(body, np.dtype([(name, kind, (c,)) for name, kind, c in rows]), count)
         return {name: table[name][:, 0] for name in WANTED}

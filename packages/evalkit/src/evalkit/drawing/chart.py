@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from evalkit.atomic import write_text
 from evalkit.drawing.plots import INK, new_figure, save
 
@@ -55,6 +58,11 @@ class Chart:
         axes.set_title(self.title, loc="left", color=INK)
         self.draw(axes)
         return figure
+
+
+def binned_rows(edges: NDArray[np.floating[Any]], *counts: NDArray[np.integer[Any]]) -> list[tuple[Any, ...]]:
+    """A histogram's table: for each bin its two edges and its number in each of `counts`."""
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), *(count.tolist() for count in counts), strict=True))
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:

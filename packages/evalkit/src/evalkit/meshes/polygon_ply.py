@@ -191,7 +191,7 @@ def _indices(numbers: Numbers) -> NDArray[np.int64]:
 
 def _strips(lists: Polygons) -> Polygons:
     """Triangles of strips, in which -1 ends a strip and every second triangle is wound the other way."""
-    triangles = [np.zeros((0, 3), np.int64)]
+    triangles: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
     for strips in np.split(lists.corners, np.cumsum(lists.counts)[:-1]):
         for strip in np.split(strips, np.flatnonzero(strips == -1)):
             strip = strip[strip != -1]

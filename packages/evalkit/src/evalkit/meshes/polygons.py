@@ -44,7 +44,8 @@ def triangulate(vertices: NDArray[np.float64], polygons: Polygons) -> NDArray[np
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         raise MeshFileError("a face names a vertex that the file lacks")
     starts = np.cumsum(counts) - counts
-    pieces, order = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    pieces: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
+    order: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     for sides in np.unique(counts[counts >= 3]):
         chosen = np.flatnonzero(counts == sides)
         triangles = _triangulate_alike(vertices, corners[starts[chosen, None] + np.arange(sides)])

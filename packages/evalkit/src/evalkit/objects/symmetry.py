@@ -68,7 +68,7 @@ class Symmetry:
         Raises:
             InputError: they are not rotations, lack the identity, or are not closed under composition.
         """
-        elements = np.asarray(rotations, float).reshape(-1, 3, 3)
+        elements: Array = np.asarray(rotations, float).reshape(-1, 3, 3)
         if len(elements) == 0 or not poses.is_rotation(elements, 1e-2).all():
             raise InputError("symmetry: the group's elements must be 3x3 rotation matrices.")
         elements = poses.nearest_rotation(elements)

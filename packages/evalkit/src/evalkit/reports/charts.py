@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.visibility_share import in_words
-from evalkit.drawing.chart import Chart
+from evalkit.drawing.chart import Chart, binned_rows
 from evalkit.drawing.plots import GRAY, INK, LINE, tidy
 from evalkit.drawing.precision_recall_plot import draw_precision_recall, rule
 from evalkit.scoring.breakdown import CriterionAp, PoseErrors, VisibilityAp
@@ -58,7 +58,7 @@ def score_histogram(result: Result, score: float) -> Chart:
             if count.any():
                 axes.stairs(count, edges, fill=True, color=color, alpha=0.25)
                 axes.stairs(count, edges, color=color, linewidth=1.6, label=f"{name} ({count.sum()})")
-        _log_counts(axes, max(count.max() for count in counts.values()), "no hypotheses")
+        _log_counts(axes, max(int(count.max()) for count in counts.values()), "no hypotheses")
         if edges[0] <= score <= edges[-1]:
             axes.axvline(score, color=INK, linestyle="--", linewidth=1.2)
         axes.set(xlabel="score", ylabel="hypotheses")
@@ -69,7 +69,7 @@ def score_histogram(result: Result, score: float) -> Chart:
         caption="The less green and red overlap, the more the score can be trusted. Dashed: the best F1. "
         "Counts are on a logarithmic scale.",
         columns=("low", "high", *counts),
-        rows=_binned(edges, *counts.values()),
+        rows=binned_rows(edges, *counts.values()),
         draw=draw,
     )
 
@@ -164,7 +164,7 @@ def translation_errors(errors: PoseErrors, diameter: float) -> Chart:
 
 
 def _error_histogram(kind: str, unit: str, error: Array, most: float, errors: PoseErrors) -> Chart:
-    edges = np.geomspace(_decade_below(error, most), most, ERROR_BINS + 1)
+    edges = np.geomspace(_decade_below(error, most), most, ERROR_BINS + 1, dtype=np.float64)
     shown = np.clip(error, edges[0], edges[-1])
     counts = {
         "true": np.histogram(shown[errors.right], edges)[0],
@@ -190,7 +190,7 @@ def _error_histogram(kind: str, unit: str, error: Array, most: float, errors: Po
         caption=_spread_in_words(error[errors.right], unit) + " At the score of the best F1 or above, a "
         f"hypothesis lies within half a diameter of {len(error)} of the instances to find ({errors.instances}).",
         columns=("low", "high", *(name.replace(" ", "_") for name in counts)),
-        rows=_binned(edges, *counts.values()),
+        rows=binned_rows(edges, *counts.values()),
         draw=draw,
     )
 
@@ -214,11 +214,7 @@ def _score_edges(score: Array) -> Array:
     size = max(abs(low), abs(high), LEAST_SCORE_SPAN)
     if high - low < LEAST_SCORE_SPAN * size:
         low, high = low - size / 2, high + size / 2
-    return np.linspace(low, high, SCORE_BINS + 1)
-
-
-def _binned(edges: Array, *counts: NDArray[np.int64]) -> list[tuple[Any, ...]]:
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), *(count.tolist() for count in counts), strict=True))
+    return np.linspace(low, high, SCORE_BINS + 1, dtype=np.float64)
 
 
 def _log_counts(axes: Axes, most: int, otherwise: str) -> None:

@@ -37,4 +37,4 @@ def calibration(
     with np.errstate(invalid="ignore"):
         mean, share = (np.bincount(which, part, BINS) / count for part in (score, right.astype(float)))
         error = float(np.nansum(count * abs(mean - share)) / len(score)) if len(score) else float("nan")
-    return Calibration(np.linspace(0.0, 1.0, BINS + 1), count, mean, share, error)
+    return Calibration(np.linspace(0.0, 1.0, BINS + 1, dtype=np.float64), count, mean, share, error)

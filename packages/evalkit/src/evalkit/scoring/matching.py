@@ -124,7 +124,7 @@ def close_pairs(crowd: Crowd, distance: Distance, threshold: float) -> Pairs:
     """All pairs of a hypothesis and an instance of its image no farther apart than `threshold`."""
     reach = threshold + distance.slack
     points, instance_points = distance.points(crowd.pose), distance.points(crowd.instance_pose)
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    found: list[tuple[Index, Index, Array]] = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for hypothesis, instance in _all_pairs(crowd):
         gap = points[hypothesis] - instance_points[instance]
         near = np.einsum("ij,ij->i", gap, gap) <= (reach * (1 + 1e-9)) ** 2

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from evalkit.geometry import poses
@@ -48,12 +49,12 @@ class PoseCodec:
     depth_range: tuple[float, float]  # meters: centroid depths of the training set
 
     @property
-    def obj_from_canonical(self) -> np.ndarray:
+    def obj_from_canonical(self) -> NDArray[np.float64]:
         """(4, 4): origin at the centroid, z along the symmetry axis."""
         return poses.from_rotation_translation(self.model.symmetry.obj_from_sym, self.model.centroid)
 
     @property
-    def canonical_from_obj(self) -> np.ndarray:
+    def canonical_from_obj(self) -> NDArray[np.float64]:
         return poses.invert(self.obj_from_canonical)
 
     @property
@@ -91,7 +92,7 @@ class PoseCodec:
         pose = cam_from_obj @ frame
         return pose[..., :3, :3], pose[..., :3, 3]
 
-    def cam_from_obj(self, rotation: Tensor, center: Tensor) -> np.ndarray:
+    def cam_from_obj(self, rotation: Tensor, center: Tensor) -> NDArray[np.float64]:
         """Canonical rotations (..., 3, 3) and centroids (..., 3) to float64 poses (..., 4, 4) of the object's frame."""
         exact = poses.nearest_rotation(rotation.detach().double().cpu().numpy())
         pose = poses.from_rotation_translation(exact, center.detach().double().cpu().numpy())

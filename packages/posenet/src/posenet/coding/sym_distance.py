@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from evalkit.objects.symmetry import Symmetry
@@ -19,7 +20,7 @@ class SymDistance(nn.Module):
     elements: Tensor
     axes: Tensor
 
-    def __init__(self, symmetry: Symmetry, lam: np.ndarray) -> None:
+    def __init__(self, symmetry: Symmetry, lam: NDArray[np.float64]) -> None:
         """`symmetry` and `lam` (3, 3), the square root of the surface covariance, in one and the same frame."""
         super().__init__()
         self.kind = symmetry.kind

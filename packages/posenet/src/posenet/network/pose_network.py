@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -83,7 +83,8 @@ class PoseNetwork(nn.Module):
 
     def in_fast_layout(self) -> PoseNetwork:
         """Itself, with convolution weights in the layout (channels last) in which CPUs and GPUs are faster."""
-        return self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        to: Callable[..., PoseNetwork] = self.to  # older releases of PyTorch do not declare memory_format
+        return to(memory_format=torch.channels_last)
 
     def main_parameters(self) -> Iterator[nn.Parameter]:
         """What the multi-task losses train."""

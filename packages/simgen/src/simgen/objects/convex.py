@@ -157,8 +157,9 @@ def _read(path: Path) -> list[Part]:
 
 
 def _is_part(vertices: NDArray[Any], faces: NDArray[Any]) -> bool:
-    shapes = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and len(vertices) > 3
-    return shapes and np.isfinite(vertices).all() and faces.min(initial=0) >= 0 and faces.max(initial=0) < len(vertices)
+    if not (vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and len(vertices) > 3):
+        return False
+    return bool(np.isfinite(vertices).all() and np.all((faces >= 0) & (faces < len(vertices))))
 
 
 def _write(path: Path, parts: list[Part]) -> None:

@@ -38,7 +38,7 @@ class BulletWorld(World):
         shape = self._compound_of_hulls()
         for center, quaternion in zip(centers, quaternions, strict=True):
             self._instances.append(self._add_body(MASS, shape, center, quaternion))
-        self._held = np.zeros(len(self._instances), bool)
+        self._held: NDArray[np.bool_] = np.zeros(len(self._instances), bool)
 
     def hold(self, still: NDArray[np.bool_]) -> None:
         for index in np.flatnonzero(still != self._held):

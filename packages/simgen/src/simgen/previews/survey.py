@@ -78,13 +78,13 @@ def _rebinned(levels: NDArray[np.int64], bins: int) -> tuple[Array, NDArray[np.i
     """Edges in steps, and counts (2, bins), from the nearest depth to where almost all pixels are."""
     total = levels.sum(0)
     if not total.any():
-        return np.arange(2.0), np.zeros((2, 1), np.int64)
+        return np.array([0.0, 1.0]), np.zeros((2, 1), np.int64)
     reached = np.cumsum(total) / total.sum()
     low, high = int(np.argmax(reached > 0)), int(np.argmax(reached >= 0.995)) + 1
     width = max(1, -(-(high - low) // bins))
     starts = np.arange(low, high, width)
     padded = np.pad(levels[:, low:high], ((0, 0), (0, len(starts) * width - (high - low))))
-    edges = np.r_[starts, starts[-1] + width] + 1.0  # the level 0, no return, was left out
+    edges = np.r_[starts, starts[-1] + width].astype(np.float64) + 1.0  # the level 0, no return, was left out
     return edges, padded.reshape(2, len(starts), width).sum(2)
 
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from evalkit.drawing.chart import Chart
+from evalkit.drawing.chart import Chart, binned_rows
 from evalkit.drawing.plots import GRAY, INK, LINE, tidy
 from simgen.previews.survey import CLEAR, Survey
 
 VISIBILITY_BINS, ANGLE_BINS = 20, 18
 AROUND, UPWARD = 24, 12  # cells of the map of directions, all of the same solid angle
-Counts = NDArray[np.int64]
 
 
 def survey_charts(found: Survey, symmetry: str) -> list[Chart]:
@@ -41,7 +39,7 @@ def visibility(found: Survey) -> Chart:
         caption=f"{clear:.0%} are at least half visible (right of the dashed line), {hidden:.0%} are hidden whole. "
         "What the sensor lost counts as visible.",
         columns=("low", "high", "instances"),
-        rows=_binned(edges, counts),
+        rows=binned_rows(edges, counts),
         draw=draw,
     )
 
@@ -52,8 +50,9 @@ def instances(found: Survey) -> Chart:
 
     def draw(axes: Axes) -> None:
         for counts, color, label in ((fallen, GRAY, "in the scene"), (clear, LINE, "at least half visible, a frame")):
-            axes.stairs(counts / max(counts.sum(), 1), edges, fill=True, color=color, alpha=0.3)
-            axes.stairs(counts / max(counts.sum(), 1), edges, color=color, linewidth=1.6, label=label)
+            shares = counts / max(int(counts.sum()), 1)
+            axes.stairs(shares, edges, fill=True, color=color, alpha=0.3)
+            axes.stairs(shares, edges, color=color, linewidth=1.6, label=label)
         axes.set(xlabel="instances", ylabel="share of scenes, of frames")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         tidy(axes)
@@ -65,7 +64,7 @@ def instances(found: Survey) -> Chart:
         caption=f"{found.instances.mean():.1f} a scene on average, of which {found.clear.mean():.1f} are at least half "
         "visible from one camera.",
         columns=("low", "high", "scenes", "frames"),
-        rows=_binned(edges, fallen, clear),
+        rows=binned_rows(edges, fallen, clear),
         draw=draw,
     )
 
@@ -90,7 +89,7 @@ def depth(found: Survey) -> Chart:
         caption=f"Pixels of {found.frames_read:,} frames; the farthest 0.5 % are beyond the right end. "
         f"{found.no_return:.2%} of all pixels have no return.",
         columns=("low_mm", "high_mm", "on_instances", "elsewhere"),
-        rows=_binned(edges, found.on_instances, found.elsewhere),
+        rows=binned_rows(edges, found.on_instances, found.elsewhere),
         draw=draw,
     )
 
@@ -115,7 +114,7 @@ def tilt(found: Survey, symmetry: str) -> Chart:
         caption="0° is upright, 90° lying, 180° upside down. Dashed: if every orientation were as frequent; what is "
         "above it is how the object likes to rest.",
         columns=("low", "high", "instances", "even"),
-        rows=[(*row, value) for row, value in zip(_binned(edges, counts), even.tolist(), strict=True)],
+        rows=[(*row, value) for row, value in zip(binned_rows(edges, counts), even.tolist(), strict=True)],
         draw=draw,
     )
 
@@ -152,7 +151,3 @@ def directions(found: Survey, symmetry: str) -> Chart:
 
 def _share(which: NDArray[np.bool_]) -> float:
     return float(which.mean()) if which.size else 0.0
-
-
-def _binned(edges: NDArray[np.float64], *counts: Counts) -> list[tuple[Any, ...]]:
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), *(count.tolist() for count in counts), strict=True))

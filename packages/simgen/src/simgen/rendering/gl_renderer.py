@@ -56,7 +56,7 @@ class GlRenderer:
     def render(self, cam_from_obj: Array, cam_from_world: Array) -> Rendering:
         """One frame: poses of the instances (n, 4, 4) and of the world (4, 4)."""
         camera, count = self._camera, len(cam_from_obj)
-        depth = np.zeros((camera.height, camera.width), np.float32)
+        depth: NDArray[np.float32] = np.zeros((camera.height, camera.width), np.float32)
         if self._background is not None:
             behind = poses.apply(cam_from_world, self._background_vertices)
             depth = self._depth_of.mesh(self._background, cam_from_world, camera, _range(behind, self._near))

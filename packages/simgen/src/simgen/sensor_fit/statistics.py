@@ -193,7 +193,7 @@ def _correlation(residual: Image, used: Mask) -> Array:
             (residual[lag:], residual[:-lag], kept[lag:] & kept[:-lag]),
         ]
         products = np.concatenate([(a * b)[both] for a, b, both in pairs])
-        found.append(float(products.mean() / max(residual[kept].var(), 1e-12)) if len(products) else 0.0)
+        found.append(float(products.mean() / max(float(residual[kept].var()), 1e-12)) if len(products) else 0.0)
     return np.array(found)
 
 

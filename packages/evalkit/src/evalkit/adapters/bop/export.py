@@ -183,6 +183,8 @@ def _extent(vertices: Array) -> dict[str, float]:
 
 def _symmetries(symmetry: Symmetry, center: Array) -> dict[str, Any]:
     """The group as motions of the model's frame, millimeters: the discrete ones without the identity, the axes."""
+    axes: Array
+    discrete: Array
     if symmetry.kind == "sphere":
         axes, discrete = np.eye(3)[:2], np.zeros((0, 3, 3))  # two axes generate all rotations
     else:
