@@ -88,9 +88,15 @@ def test_numbers_that_are_no_camera_matrix_are_refused(tmp_path: Path) -> None:
     np.savetxt(path, np.eye(4))
     with pytest.raises(InputError, match=r"pose\.txt"):
         read_camera(path, image_size=lambda: (64, 48))
-    np.savetxt(path, MATRIX.T)
+    np.savetxt(path, MATRIX[::-1])
     with pytest.raises(InputError, match="row by row"):
         read_camera(path, image_size=lambda: (64, 48))
+
+
+def test_a_matrix_by_columns_is_read_so_and_that_is_said(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "K.txt", MATRIX.T)
+    found = read_camera(tmp_path / "K.txt", image_size=lambda: (64, 48))
+    assert found.camera == CAMERA and any("by columns" in remark for remark in found.remarks)
 
 
 def test_a_fisheye_of_orb_slam_is_refused(tmp_path: Path) -> None:

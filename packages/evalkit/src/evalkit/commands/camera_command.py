@@ -21,7 +21,8 @@ from evalkit.geometry.camera_files import CameraFile, read_camera
 def camera(file: Path, distance: float | None, rectified: bool, output: Path | None, as_json: bool) -> None:
     """Print what is understood of a camera FILE: size, focal lengths, lens, field of view, millimeters a pixel.
 
-    FILE may be of ours, BOP, ROS, OpenCV, RealSense, Open3D, Zivid, Kalibr, COLMAP or Siléane.
+    FILE may be of ours, BOP, ROS, OpenCV, RealSense, Orbbec, Open3D, Zivid, Kalibr, COLMAP, MATLAB, Siléane …; of
+    several cameras in it, FILE#NAME is one, such as calibration.json#depth.
     """
     found = read_camera(file, rectified)
     for remark in found.remarks:

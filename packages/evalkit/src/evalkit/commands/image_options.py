@@ -19,7 +19,7 @@ IMAGE_OPTIONS = [
         "--camera",
         "camera_file",
         type=FILE,
-        help="Of image files: ours, BOP, ROS, OpenCV, RealSense …; 'evalkit camera FILE' shows what is understood.",
+        help="Of image files: ours, BOP, ROS, OpenCV, RealSense …, or FILE#NAME; see 'evalkit camera FILE'.",
     ),
     click.option("--rectified", is_flag=True, help="The images were rectified: no lens, and P of a camera_info."),
     click.option("--depth-unit", type=click.FloatRange(min=0, min_open=True), help="Meters a step, e.g. 0.001."),

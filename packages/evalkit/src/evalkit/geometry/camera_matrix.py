@@ -49,9 +49,9 @@ def _compare(matrix: NDArray[np.float64], single: dict[str, float], where: str) 
 def matrix_field(fields: Fields, name: str, where: str) -> NDArray[np.float64]:
     columns, key = (4, "P") if name == "projection" else (3, "K")
     values = numbers(fields[name], where, key)
-    if len(values) != 3 * columns:
+    if len(values) not in (3 * columns, 16):
         raise InputError(f"{where}: '{key}' must hold {3 * columns} numbers, row by row, as camera_info has it.")
-    matrix = values.reshape(3, columns)[:, :3]
+    matrix = _upright(values)
     if matrix[0, 0] == 0 and matrix[1, 1] == 0:
         raise InputError(
             f"{where}: '{key}' is all zeros, as of a camera that was never calibrated; calibrate it first."
@@ -59,4 +59,27 @@ def matrix_field(fields: Fields, name: str, where: str) -> NDArray[np.float64]:
     zeros = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
     if not zeros <= NEGLIGIBLE * max(1.0, abs(matrix[0, 0])):
         raise InputError(f"{where}: '{key}' must be fx skew cx, 0 fy cy, 0 0 1, row by row; write it so.")
-    return matrix.copy()
+    return matrix[:3, :3].copy()
+
+
+def is_by_columns(fields: Fields, name: str) -> bool:
+    """Whether a field's matrix is written by columns, as MATLAB, Open3D, ARKit and Ensenso write it."""
+    try:
+        return _turned(numbers(fields[name], "", ""))
+    except (InputError, KeyError):
+        return False
+
+
+def _upright(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A camera matrix (3, 3) or more, read by columns where its zeros say so."""
+    side = 4 if len(values) == 16 else 3
+    matrix = values.reshape(side, -1)
+    return matrix.T if _turned(values) else matrix
+
+
+def _turned(values: NDArray[np.float64]) -> bool:
+    """Whether the principal point stands in the third row and its places in the third column are empty."""
+    if len(values) not in (9, 16):
+        return False
+    matrix = values.reshape(3, 3) if len(values) == 9 else values.reshape(4, 4)
+    return bool((matrix[:2, 2] == 0).all() and (matrix[2, :2] != 0).any() and matrix[2, 2] == 1)

@@ -1,9 +1,11 @@
-"""A camera file as a document: JSON, YAML, OpenCV's FileStorage (YAML 1.0, XML, JSON), lines of words, NPY."""
+"""A camera file as a document, recognized by its content: JSON, YAML, OpenCV's FileStorage, text, NPY, NPZ."""
 
 from __future__ import annotations
 
 import io
 import json
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,26 +14,62 @@ import numpy as np
 import yaml
 
 from evalkit.errors import InputError
+from evalkit.geometry.camera_lines import number_of, read_lines
+from evalkit.geometry.camera_listings import is_halcon, is_realsense, read_halcon, read_realsense
 
 FORMATS = (
     "give width, height, fx, fy, cx, cy as JSON, a BOP camera.json, a ROS camera_info, OpenCV's calibration file, or "
-    "what RealSense, Open3D, Zivid, Kalibr, COLMAP or Siléane write"
+    "what RealSense, Orbbec, Open3D, Zivid, Kalibr, COLMAP or Siléane write"
 )
-NPY = b"\x93NUMPY"
+NPY, NPZ = b"\x93NUMPY", b"PK\x03\x04"
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # as Windows' PowerShell writes what a command prints
 LARGEST_FILE = 1 << 20  # bytes; such files hold a few hundred
-
-
-class ColmapRows(list[list[Any]]):
-    """The rows of a COLMAP cameras.txt: number, model, width, height and parameters, each at least five words."""
+LARGEST_JSON = 32 << 20  # with a camera for each of thousands of images
+# What holds no camera of depth images: a mark in the text, and what to give instead.
+USELESS = {
+    "CalibrationInformation": "is an Azure Kinect's factory calibration, in shares of its sensors' sizes; give the "
+    "calibration of the depth mode that took the images, as its SDK or its ROS camera_info says it",
+    "[LEFT_CAM_": "is a ZED's factory calibration of its raw images, and its depth follows the rectified camera; give "
+    "that one, as its SDK or its ROS camera_info says it",
+    "param-depthunits": "holds a RealSense's settings and no intrinsics; give what 'rs-enumerate-devices -c' prints",
+    "%time,field.": "is a topic printed as a table; print it as YAML: rostopic echo -n 1 TOPIC > camera.yaml",
+}
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
-    """YAML as OpenCV writes it: matrices are tagged, and are plain mappings otherwise."""
+    """YAML as OpenCV, Python and ROS write it: tagged matrices and tuples, 1e-05; no field may stand twice."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        return _unique([(self.construct_object(key, deep=True), self.construct_object(value, deep=True))
+                        for key, value in node.value])  # fmt: skip
 
 
-_Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+def _whole_mapping(loader: _Loader, node: Any) -> dict[Any, Any]:
+    return loader.construct_mapping(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:map", _whole_mapping)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _whole_mapping)
+_Loader.add_constructor("tag:yaml.org,2002:python/tuple", lambda loader, node: loader.construct_sequence(node, True))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+
+def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Pairs as a dictionary.
+
+    Raises:
+        ValueError: a field stands twice; all readers of these formats would take one of them in silence.
+    """
+    found: dict[Any, Any] = {}
+    for key, value in pairs:
+        if isinstance(key, list | dict):
+            raise ValueError("a list is the name of a field")
+        if key in found and found[key] != value:
+            raise ValueError(f"the field '{key}' stands twice, with different values")
+        found[key] = value
+    return found
 
 
 def parse(path: Path) -> Any:
@@ -42,14 +80,17 @@ def parse(path: Path) -> Any:
         OSError: it cannot be read.
     """
     with open(path, "rb") as file:
-        raw = file.read(LARGEST_FILE + 1)
-    if len(raw) > LARGEST_FILE:
+        raw = file.read(LARGEST_JSON + 1)
+    if len(raw) > (LARGEST_JSON if raw.lstrip()[:1] == b"{" else LARGEST_FILE):
         raise InputError(f"{path}: too large for a camera file; {FORMATS}.")
     kind = "camera"
     try:
-        if raw.startswith(NPY):
-            return np.load(io.BytesIO(raw), allow_pickle=False).tolist()
-        text = raw.decode("utf-8-sig")
+        if raw.startswith((NPY, NPZ)):
+            return _arrays(raw)
+        text = raw.decode("utf-16" if raw.startswith(UTF_16) else "utf-8-sig")
+        for mark, what in USELESS.items():
+            if mark in text:
+                raise InputError(f"{path}: {what}.")
         kind, read = _reader(text.lstrip(), path.suffix.lower())
         return read(text)
     except yaml.MarkedYAMLError as error:
@@ -60,22 +101,45 @@ def parse(path: Path) -> Any:
         raise InputError(f"{path}: not a {kind} file ({reason}); {FORMATS}.") from None
 
 
-def _reader(text: str, suffix: str) -> tuple[str, Any]:
+def _reader(text: str, suffix: str) -> tuple[str, Callable[[str], Any]]:
     """What kind of text it is, and the function that reads it."""
     if text.startswith("<"):
         return "XML", _xml
-    if text.startswith("{") or suffix == ".json":
-        return "JSON", json.loads
-    if suffix == ".txt" and not text.startswith(("%YAML", "---")):
-        return "text", _lines
-    return "YAML", _yaml
+    if is_realsense(text):
+        return "RealSense", read_realsense
+    if is_halcon(text):
+        return "HALCON", read_halcon
+    if suffix == ".json" or (text.startswith("{") and suffix not in (".yaml", ".yml")):
+        return "JSON", lambda text: json.loads(text, object_pairs_hook=_unique)
+    if suffix in (".yaml", ".yml") or text.startswith(("%YAML", "---", "{")):
+        return "YAML", _yaml
+    return "text", _text
+
+
+def _text(text: str) -> Any:
+    """A topic or YAML in a file of any name, else lines of words and numbers."""
+    try:
+        document = _yaml(text)
+    except yaml.YAMLError:
+        document = None
+    is_document = isinstance(document, list) or (
+        isinstance(document, dict) and not any(map(_is_row, document.values()))
+    )
+    return document if is_document else read_lines(text)
+
+
+def _is_row(value: Any) -> bool:
+    """Whether YAML took several numbers for a text."""
+    words = value.split() if isinstance(value, str) else []
+    return len(words) > 1 and not any(isinstance(number_of(word), str) for word in words)
 
 
 def _yaml(text: str) -> Any:
-    """The first document that is not empty: a topic that is printed ends each message with ``---``."""
+    """The document, or all of them: a topic that is printed ends each message with ``---``."""
     if text.lstrip().startswith("%YAML:"):  # OpenCV's header, which is not YAML's
         text = text.lstrip().partition("\n")[2]
-    return next((document for document in yaml.load_all(text, _Loader) if document is not None), None)
+    documents = [document for document in yaml.load_all(text, _Loader) if document is not None]
+    return documents if len(documents) > 1 else next(iter(documents), None)
 
 
 def _xml(text: str) -> Any:
@@ -90,32 +154,18 @@ def _xml(text: str) -> Any:
 
 def _element(element: ElementTree.Element) -> Any:
     if len(element):
-        return {child.tag: _element(child) for child in element}
+        return _unique([(child.tag, _element(child)) for child in element])
     words = (element.text or "").split()
-    values = [_number(word) for word in words]
+    values = [number_of(word) for word in words]
     return values if element.tag == "data" or len(values) != 1 else values[0]
 
 
-def _lines(text: str) -> Any:
-    """Lines ``key value …`` as Siléane's camera_params.txt has them; COLMAP's rows come under 'colmap'.
-
-    Numbers alone are rows of a matrix, as numpy.savetxt writes it.
-    """
-    lines = (line.replace(",", " ") for line in text.splitlines())
-    rows = [line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    matrix = [[_number(word) for word in row] for row in rows]
-    if matrix and not any(isinstance(value, str) for row in matrix for value in row):
-        return matrix if len(matrix) > 1 else matrix[0]
-    if rows and all(len(row) >= 5 and row[0].isdecimal() and row[1].isupper() for row in rows):
-        return {"colmap": ColmapRows([_number(word) for word in row] for row in rows)}
-    lists = {row[0].rstrip(":="): [_number(word) for word in row[1:] if word not in ":="] for row in rows}
-    return {key: values[0] if len(values) == 1 else values for key, values in lists.items()}
-
-
-def _number(word: str) -> float | int | str:
-    for kind in (int, float):
-        try:
-            return kind(word)
-        except ValueError:
-            continue
-    return word
+def _arrays(raw: bytes) -> Any:
+    """NPY's matrix, or the arrays of numbers of an NPZ, as OpenCV's tutorial saves them."""
+    loaded = np.load(io.BytesIO(raw), allow_pickle=False)
+    if isinstance(loaded, np.ndarray):
+        return loaded.tolist()
+    try:
+        return {name: loaded[name].tolist() for name in loaded.files}
+    except (OSError, KeyError) as error:  # a zip archive of something else
+        raise ValueError(error) from None
