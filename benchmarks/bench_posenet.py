@@ -36,7 +36,7 @@ from posenet.refinement.refiner import Refiner
 from posenet.training.dataset import Frames
 
 WARM_UP = 2
-SIMGEN_PRESET = {"paper": "default", "small": "demo", "debug": "demo"}
+SIMGEN_PRESET = {"paper": "paper", "small": "demo", "debug": "demo"}
 MOST_PAPER_STEPS = 3
 STAGES = ("load", "forward", "scoring", "backward", "optimizer")
 

@@ -13,14 +13,15 @@ from evalkit.errors import InputError
 from simgen.commands.parsing import parse_bin, parse_instances, parse_range
 from simgen.config import BuildConfig
 from simgen.config_sections import BinSize, DistractorConfig, PileConfig, ViewpointConfig
-from simgen.presets import PRESETS, debug, default, default_camera, sileane
+from simgen.presets import PRESETS, debug, default, default_camera, paper, sileane
 from simgen.sensors.sensor_config import stereo
 
 
-def test_the_default_is_the_papers() -> None:
-    config = default()
+def test_the_papers_set_has_a_preset_and_the_default_is_half_of_it() -> None:
+    config = paper()
     assert (config.scenes, config.views, config.camera.width, config.camera.height) == (2000, 17, 640, 480)
     assert (config.instances_min, config.instances_max) == (10, 20)
+    assert default() == replace(config, scenes=1000)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
