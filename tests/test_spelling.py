@@ -20,7 +20,8 @@ IN_FILES_ALREADY = (
     "registration_neighbours",
     '"metres"',
     ".METRE.",
-)  # fields of model files, of what evalkit ap --json writes, and of STEP
+    '"colour"',
+)  # fields of model files, of what evalkit ap --json writes, of STEP and of camera files
 TEXT = (".py", ".md", ".html", ".js", ".css", ".toml", ".yml", ".cff", "Makefile", "Dockerfile")
 FOLDERS = ("packages", "benchmarks", "tests", "docs", "data")
 AT_THE_ROOT = ("*.md", "*.toml", "*.yml", "*.cff", "Makefile", "Dockerfile")
