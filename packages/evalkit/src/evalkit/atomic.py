@@ -7,6 +7,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,13 +18,20 @@ from typing import Any
 def atomic_path(path: Path | str, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it into place on success, remove it on any failure.
 
-    A `new` file does not replace one that is there: of several writers at once the first wins.
+    A `new` file does not replace one that is there: of several writers at once the first wins. What is there and no
+    file, such as /dev/null or a pipe, is written to and stays.
 
     Raises:
         FileExistsError: the file was to be `new`, and is there already.
         OSError: the folder cannot be made or written; `filename` names `path`, not the temporary.
     """
     path = Path(path)
+    if path.exists() and not path.is_file() and not path.is_dir():
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder) / path.name
+            with open(Path(folder) / path.name, "rb") as written, open(path, "wb") as device:
+                shutil.copyfileobj(written, device)
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)

@@ -8,15 +8,17 @@ from pathlib import Path
 
 import click
 
+from evalkit.commands.command import Command
+from evalkit.commands.output_file import DOCUMENTS, OutputFile
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.camera_files import CameraFile, read_camera
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--at", "distance", type=click.FloatRange(min=0, min_open=True), help="Also what it sees there, meters.")
 @click.option("--rectified", is_flag=True, help="Of rectified images: a camera_info's projection matrix P.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the pinhole camera as our JSON.")
+@click.option("-o", "--output", type=OutputFile(*DOCUMENTS), help="Write the pinhole camera as our JSON.")
 @click.option("--json", "as_json", is_flag=True, help="Print the pinhole camera as our JSON, and nothing else.")
 def camera(file: Path, distance: float | None, rectified: bool, output: Path | None, as_json: bool) -> None:
     """Print what is understood of a camera FILE: size, focal lengths, lens, field of view, millimeters a pixel.

@@ -12,6 +12,7 @@ from evalkit.atomic import sha256_of_file, write_json
 from evalkit.commands.camera_command import camera
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands, suggest_next
+from evalkit.commands.output_file import DOCUMENTS, DRAWINGS, PAGES, OutputFile
 from evalkit.commands.verify_command import verify
 from evalkit.datasets import documents
 from evalkit.datasets.scene import SHARES, Share
@@ -22,6 +23,7 @@ from evalkit.scoring.result import Result
 from evalkit.scoring.rules import PROTOCOLS
 
 FILE = click.Path(path_type=Path)
+FIGURES = OutputFile(*DOCUMENTS)
 NAMES_LISTED = 3
 
 
@@ -69,8 +71,10 @@ def evaluation_options(command: Any) -> Any:
 @click.argument("preds", required=False, type=FILE)
 @click.argument("gt", required=False, type=FILE)
 @evaluation_options
-@click.option("--json", "json_path", type=FILE, help="Write all figures, the rules and the curve here.")
-@click.option("--plot", "plot_path", type=FILE, help="Draw the precision-recall curve here (PNG, SVG or PDF).")
+@click.option("--json", "json_path", type=FIGURES, help="Write all figures, the rules and the curve here.")
+@click.option(
+    "--plot", "plot_path", type=OutputFile(*DRAWINGS), help="Draw the precision-recall curve here (PNG, SVG or PDF)."
+)
 @click.option("--confidence", type=float, help="Also give precision, recall and F1 of the scores from this one on.")
 @click.option("--bootstrap", type=int, help="Also give 95 % intervals from so many resamples of the scenes (1000).")
 def ap(
@@ -115,7 +119,7 @@ def ap(
 @click.argument("gt", type=FILE)
 @evaluation_options
 @click.option("--resamples", default=1000, show_default=True, help="Of the scenes, for the interval.")
-@click.option("--json", "json_path", type=FILE, help="Write the figures here.")
+@click.option("--json", "json_path", type=FIGURES, help="Write the figures here.")
 def compare(first: Path, second: Path, gt: Path, resamples: int, json_path: Path | None, **rules: Any) -> None:
     """By how much SECOND is better than FIRST (two preds.json) on GT, and whether that is chance."""
     from evalkit.scoring.bootstrap import LEVEL, compare
@@ -140,7 +144,7 @@ def compare(first: Path, second: Path, gt: Path, resamples: int, json_path: Path
     "--max-results", type=click.IntRange(1), help="Of each image, only this many best count [100; of xyzibd 200]."
 )
 @visibility_option
-@click.option("--json", "json_path", type=FILE, help="Write the figures here.")
+@click.option("--json", "json_path", type=FIGURES, help="Write the figures here.")
 def bop24(preds: Path, gt: Path, max_results: int | None, visibility: Share | None, json_path: Path | None) -> None:
     """BOP's detection scores of 2024 and 2025, as bop_toolkit computes them.
 
@@ -161,7 +165,9 @@ def bop24(preds: Path, gt: Path, max_results: int | None, visibility: Share | No
 @click.argument("preds", required=False, type=FILE)
 @click.argument("gt", required=False, type=FILE)
 @click.option("--shards", type=FILE, help="The folder of shards that the images are from, to draw some of them.")
-@click.option("-o", "--output", type=FILE, required=True, help="The HTML page to write; its figures go beside it.")
+@click.option(
+    "-o", "--output", type=OutputFile(*PAGES), required=True, help="The HTML page to write; its figures go beside it."
+)
 @click.option("--images", "count", type=click.IntRange(1, 36), default=8, show_default=True, help="How many to draw.")
 @evaluation_options
 def report(preds: Path | None, gt: Path | None, shards: Path | None, output: Path, count: int, **rules: Any) -> None:
@@ -188,7 +194,7 @@ def published(as_json: bool) -> None:
 @click.argument("preds", type=FILE)
 @click.argument("gt", type=FILE)
 @click.option("--shards", type=FILE, required=True, help="The folder of shards that the images are from.")
-@click.option("-o", "--output", type=FILE, required=True, help="The PNG to write.")
+@click.option("-o", "--output", type=OutputFile(*DRAWINGS), required=True, help="The PNG to write.")
 @click.option("--image", "image_ids", multiple=True, help="Id of an image to draw; may be repeated.")
 @click.option("--images", "count", type=click.IntRange(1, 36), default=4, show_default=True, help="How many to draw.")
 @evaluation_options

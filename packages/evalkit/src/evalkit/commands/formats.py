@@ -8,13 +8,17 @@ from typing import Any
 import click
 
 from evalkit import adapters
+from evalkit.commands.command import Command
 from evalkit.commands.group import suggest_next
+from evalkit.commands.output_file import DOCUMENTS, OutputFile
 from evalkit.datasets import documents
 from evalkit.datasets.visibility_share import in_words
 from evalkit.errors import InputError
 from evalkit.meshes.units import CHOICES
 
 FILE = click.Path(path_type=Path)
+GT = OutputFile(*DOCUMENTS, document="binpose-gt")
+PREDS = OutputFile(*DOCUMENTS, ".csv", document="binpose-preds", or_folder=True)
 SOURCE_OPTIONS = [
     click.option("--object", "object_name", help="Name the object so in the document."),
     click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object.  [bop]"),
@@ -50,10 +54,10 @@ def source_options(command: Any) -> Any:
     return command
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("source", type=FILE)
 @click.option("--from", "kind", type=click.Choice(list(adapters.GROUND_TRUTH)), default="shards", show_default=True)
-@click.option("-o", "--output", type=FILE, required=True, help="The gt.json to write.")
+@click.option("-o", "--output", type=GT, required=True, help="The gt.json to write.")
 @source_options
 def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
     """Write the ground truth of SOURCE (a folder) as gt.json.
@@ -86,11 +90,11 @@ def gt(source: Path, kind: str, output: Path, **options: Any) -> None:
         suggest_next("posenet", "predict", "MODEL", source, "--refine", "-o", preds)
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("source", type=FILE)
 @click.option("--from", "kind", type=click.Choice(list(adapters.PREDICTIONS)), default="binpose", show_default=True)
 @click.option("--to", "target", type=click.Choice(list(adapters.WRITERS)), default="binpose", show_default=True)
-@click.option("-o", "--output", type=FILE, required=True, help="The file, for sileane the folder, to write.")
+@click.option("-o", "--output", type=PREDS, required=True, help="The file, for sileane the folder, to write.")
 @click.option("--object", "object_name", help="Name the object so in the document.")
 @click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object.  [bop]")
 @click.option(
@@ -124,7 +128,7 @@ def preds(source: Path, kind: str, target: str, output: Path, **options: Any) ->
     click.echo(f"{output}: {len(predictions.images)} images, {hypotheses} hypotheses, {predictions.frame} frame")
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("source", type=FILE)
 @click.option("--from", "kind", type=click.Choice(list(adapters.DEPTH_IMAGES)), required=True)
 @click.option("-o", "--output", type=FILE, required=True, help="The folder to write.")

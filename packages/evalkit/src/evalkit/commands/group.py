@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from evalkit.commands.command import Command
 from evalkit.errors import InputError
 
 EXIT_BAD_INPUT = 2
@@ -20,6 +21,8 @@ EXIT_INTERRUPTED = 130
 
 class Commands(click.Group):
     """A click group whose commands report :class:`InputError` and file-system trouble in one sentence."""
+
+    command_class = Command
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         show_warnings()

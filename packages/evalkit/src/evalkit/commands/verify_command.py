@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from evalkit.commands.command import Command
 from evalkit.commands.image_options import image_options, opened
+from evalkit.commands.output_file import DOCUMENTS, IMAGES, OutputFile
 from evalkit.errors import InputError
 from evalkit.meshes.units import CHOICES
 
@@ -20,7 +22,7 @@ FILE = click.Path(path_type=Path)
 LISTED = 20  # contradicted poses
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("preds", type=FILE)
 @click.argument("source", type=FILE)
 @click.option("--mesh", type=FILE, help="The part: PLY, STL, OBJ, GLB, STEP …; shards bring their own.")
@@ -33,8 +35,15 @@ LISTED = 20  # contradicted poses
     help="Depth agrees within so many meters.  [default: 0.035 diameters, more in noisy images]",
 )
 @image_options
-@click.option("--json", "json_path", type=FILE, help="Write every pose's verdict and reason here.")
-@click.option("--picture", type=FILE, help="Draw the poses over their depth images on one contact sheet, a PNG.")
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile(*DOCUMENTS, document="binpose-verification"),
+    help="Write every pose's verdict and reason here.",
+)
+@click.option(
+    "--picture", type=OutputFile(*IMAGES), help="Draw the poses over their depth images on one contact sheet, a PNG."
+)
 @click.option("--max-drawn", type=click.IntRange(min=1), default=24, show_default=True, help="Images on the sheet.")
 def verify(
     preds: Path,

@@ -133,4 +133,4 @@ def checked_poses(
 def _near(rotation: Array, translation: Array, center: Array | None) -> NDArray[np.bool_]:
     """Which of the poses (n, 3, 3) and (n, 3) leave the object where a bin-picking camera could see it, as (n,)."""
     place = translation if center is None else rotation @ center + translation
-    return (np.abs(place) <= FARTHEST).all(1)
+    return np.asarray((np.abs(place) <= FARTHEST).all(1))

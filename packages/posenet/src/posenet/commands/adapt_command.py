@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from evalkit.commands.command import Command
 from evalkit.commands.group import suggest_next
 from evalkit.commands.image_options import as_typed, image_options, opened
+from evalkit.commands.output_file import MODELS, OutputFile
 from posenet.commands.log import show_log
 
 if TYPE_CHECKING:
@@ -17,10 +19,16 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("model", type=FILE)
 @click.argument("frames", type=FILE)
-@click.option("-o", "--out", type=FILE, required=True, help="The new model's file; MODEL itself is never overwritten.")
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile(*MODELS),
+    required=True,
+    help="The new model's file; MODEL itself is never overwritten.",
+)
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), default=5.0, show_default=True,
               help="Of learning; labeling the images comes on top.")  # fmt: skip
 @image_options

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from evalkit.commands.command import Command
 from evalkit.commands.image_options import as_typed, image_options, opened
+from evalkit.commands.output_file import DOCUMENTS, PAGES, OutputFile
 from posenet.commands.log import show_log
 
 if TYPE_CHECKING:
@@ -18,15 +20,19 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("model", type=FILE)
 @click.argument("frames", type=FILE)
 @image_options
 @click.option("--mask", type=FILE, help="Look only where this image is not black: the bin.")
 @click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
 @click.option("--max-images", type=click.IntRange(min=1), default=10, show_default=True, help="Spread over FRAMES.")
-@click.option("-o", "--out", type=FILE, default="check.html", show_default=True, help="The HTML page to write.")
-@click.option("--json", "json_path", type=FILE, help="Write the figures here.")
+@click.option(
+    "-o", "--out", type=OutputFile(*PAGES), default="check.html", show_default=True, help="The HTML page to write."
+)
+@click.option(
+    "--json", "json_path", type=OutputFile(*DOCUMENTS, document="binpose-check"), help="Write the figures here."
+)
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 def check(
     model: Path,

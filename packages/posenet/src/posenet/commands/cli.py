@@ -11,6 +11,7 @@ import click
 
 from evalkit.commands.group import Commands
 from evalkit.commands.image_options import image_options, opened
+from evalkit.commands.output_file import DOCUMENTS, IMAGES, MODELS, OutputFile
 from evalkit.errors import InputError
 from posenet.commands.adapt_command import adapt
 from posenet.commands.check_command import check
@@ -146,7 +147,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputFile(*DOCUMENTS, ".csv", document="binpose-preds"),
     default="preds.json",
     show_default=True,
     help="preds.json, or BOP's results as .csv.",
@@ -155,7 +156,7 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--object-id", type=click.IntRange(min=0), help="BOP's number of the object, for -o results.csv.")
 @click.option("--mask", type=click.Path(path_type=Path), help="Look only where this image is not black: the bin.")
 @click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
-@click.option("--picture", type=click.Path(path_type=Path), help="Draw the poses on the (first) image, as PNG.")
+@click.option("--picture", type=OutputFile(*IMAGES), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
 @click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
 @click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the source.")
@@ -228,7 +229,7 @@ def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
 
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), default="model.onnx", show_default=True)
+@click.option("-o", "--out", type=OutputFile(".onnx"), default="model.onnx", show_default=True)
 def export(model: Path, out: Path) -> None:
     """Write MODEL as ONNX, for what runs without Python.
 
@@ -245,7 +246,7 @@ def export(model: Path, out: Path) -> None:
 
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), default="compact.pt", show_default=True)
+@click.option("-o", "--out", type=OutputFile(*MODELS), default="compact.pt", show_default=True)
 def compact(model: Path, out: Path) -> None:
     """Write MODEL in a quarter of the bytes, to hand on: weights in 8 bits a row, else 16. Score it before you do."""
     from posenet.models.model_file import write_compact

@@ -99,9 +99,10 @@ def read_torch_file(path: Path) -> dict[str, Any]:
     """
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, zipfile.BadZipFile, EOFError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise InputError(f"{path}: not a readable PyTorch file, or damaged ({reason}).") from None
+    except (RuntimeError, pickle.UnpicklingError, zipfile.BadZipFile, EOFError, ValueError, KeyError):
+        raise InputError(
+            f"{path}: cannot be read as a PyTorch file, so it is truncated, damaged or of another kind; copy it again."
+        ) from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds no dictionary, so it is not a file of posenet's.")
     return document

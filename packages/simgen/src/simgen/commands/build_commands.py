@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from evalkit.commands.command import Command
 from evalkit.commands.group import suggest_next
+from evalkit.commands.output_file import OutputFile
 from evalkit.errors import InputError
 from simgen.commands.options import (
     ObjectChoice,
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from simgen.scenes.job import Job
 
 
-@click.command("build")
+@click.command("build", cls=Command)
 @object_options
 @like_option
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
@@ -78,9 +80,9 @@ def build_command(
         _say_next(output, job, is_test=like is not None)
 
 
-@click.command("simulate")
+@click.command("simulate", cls=Command)
 @object_options
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("scenes.h5"), show_default=True)
+@click.option("-o", "--output", type=OutputFile(".h5", ".hdf5"), default=Path("scenes.h5"), show_default=True)
 @pile_options
 @camera_options
 @shard_options
@@ -111,7 +113,7 @@ def simulate_command(
     )
 
 
-@click.command("render")
+@click.command("render", cls=Command)
 @click.argument("scenes", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("shards"), show_default=True)
 @camera_options

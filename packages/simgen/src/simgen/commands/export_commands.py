@@ -7,10 +7,12 @@ from typing import Any
 
 import click
 
+from evalkit.commands.group import Commands
+
 FOLDER = click.Path(path_type=Path)
 
 
-@click.group("export")
+@click.group("export", cls=Commands)
 def export_command() -> None:
     """Write shards as a dataset in somebody else's format.
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from evalkit.commands.command import Command
 from evalkit.commands.group import EXIT_BAD_INPUT, suggest_next
+from evalkit.commands.output_file import DRAWINGS, PAGES, OutputFile
 from evalkit.errors import InputError
 from simgen.commands.options import workers_option
 
@@ -19,7 +21,7 @@ MOST_PROBLEMS = 50
 MESH_SUFFIXES = (".ply", ".stl", ".obj")
 
 
-@click.command("object")
+@click.command("object", cls=Command)
 @click.argument("source", metavar="FILE|NAME")
 @click.option("--units", default="auto", show_default=True, metavar="auto|m|cm|mm|inch", help="The file's unit.")
 @click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on the object's size.")
@@ -30,7 +32,7 @@ MESH_SUFFIXES = (".ply", ".stl", ".obj")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=OutputFile(*DRAWINGS, *MESH_SUFFIXES),
     help="Draw surface, axes and convex parts (.png), or write the mesh, in millimeters (.ply, .stl, .obj).",
 )
 def object_command(source: str, units: str, scale: float, symmetry: str, as_json: bool, output: Path | None) -> None:
@@ -68,12 +70,12 @@ def _write_mesh(prepared: PreparedObject, output: Path) -> None:
         temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-@click.command("preview")
+@click.command("preview", cls=Command)
 @click.argument("shards", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=OutputFile(*DRAWINGS, *PAGES),
     default=Path("preview.png"),
     show_default=True,
     help="A picture (.png, .svg, .pdf), or a page with histograms, config and a scene in 3D (.html).",
@@ -100,10 +102,10 @@ def preview_command(shards: Path, output: Path, frames: int) -> None:
     click.echo(f"{output} written")
 
 
-@click.command("view")
+@click.command("view", cls=Command)
 @click.argument("shards", type=click.Path(path_type=Path))
 @click.option("--scenes", type=int, default=10, show_default=True, help="How many to show, from the first.")
-@click.option("--save", "recording", type=click.Path(path_type=Path), help="Write a recording (.rrd), open no window.")
+@click.option("--save", "recording", type=OutputFile(".rrd"), help="Write a recording (.rrd), open no window.")
 def view_command(shards: Path, scenes: int, recording: Path | None) -> None:
     """Open scenes in the rerun viewer: instances, bin, cameras, depth, labels (pip install 'binpose-simgen[view]')."""
     if scenes < 1:
@@ -122,7 +124,7 @@ def view_command(shards: Path, scenes: int, recording: Path | None) -> None:
     click.echo(f"{recording} written; open it with: rerun {recording}")
 
 
-@click.command("verify")
+@click.command("verify", cls=Command)
 @click.argument("shards", type=click.Path(path_type=Path))
 @click.option("--repair", is_flag=True, help="Rebuild what is damaged or missing, to the bytes that it had.")
 @workers_option

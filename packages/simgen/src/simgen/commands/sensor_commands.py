@@ -11,6 +11,7 @@ import click
 from evalkit.atomic import write_text
 from evalkit.commands.group import Commands, suggest_next
 from evalkit.commands.image_options import image_options, opened
+from evalkit.commands.output_file import DOCUMENTS, PAGES, OutputFile
 from evalkit.drawing.page import require_page_name
 from evalkit.errors import InputError
 
@@ -23,8 +24,14 @@ def sensor_group() -> None:
 @sensor_group.command("fit")
 @click.argument("frames", required=False, type=click.Path(path_type=Path))
 @image_options
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("sensor.json"), show_default=True)
-@click.option("--page", type=click.Path(path_type=Path), help="HTML page on the fit.  [default: OUTPUT with .html]")
+@click.option(
+    "-o",
+    "--output",
+    type=OutputFile(*DOCUMENTS, document="binpose-sensor"),
+    default=Path("sensor.json"),
+    show_default=True,
+)
+@click.option("--page", type=OutputFile(*PAGES), help="HTML page on the fit.  [default: OUTPUT with .html]")
 @click.option("--baseline", type=float, help="Meters between the eyes, if known; negative: the second on the left.")
 @click.option("--mesh", help="The part, a mesh file or a built-in object: simulated heaps of it are shown beside.")
 @click.option("--name", help="What the sensor is called.  [default: the output's name]")
