@@ -75,6 +75,10 @@ def scaled(rows, factor):
     rows[1]["R"] = (np.array(rows[1]["R"]) * factor).tolist()
 
 
+def in_mm(document, field):
+    document[field] = (1e3 * np.array(document[field])).tolist()
+
+
 FAULTS = {
     "no format": (lambda d, i, r: d.pop("format"), ["format"]),
     "another format": (lambda d, i, r: d.update(format="coco"), ["format", "coco"]),
@@ -97,12 +101,19 @@ FAULTS = {
     "t a column": (lambda d, i, r: r[2].update(t=[[0], [0], [1]]), ["ID", "2", "'t'"]),
     "t infinite": (lambda d, i, r: r[2].update(t=[0, 0, float("inf")]), ["ID", "2", "'t'", "finite"]),
     "t in mm": (lambda d, i, r: r[2].update(t=[0, 0, 812.0]), ["ID", "2", "'t'", "millimeters"]),
+    "another unit": (lambda d, i, r: d.update(units="mm"), ["units", "mm"]),
+    "an image in another unit": (lambda d, i, r: i.update(unit="Millimeter"), ["ID", "unit", "Millimeter"]),
     "frame unknown": (lambda d, i, r: d.update(frame="robot"), ["frame", "robot"]),
 }  # fmt: skip
 GT_FAULTS = {
     "no images": (lambda d, i, r: d.update(images=[]), ["images", "empty"]),
     "object missing": (lambda d, i, r: d.pop("object"), ["object"]),
     "object without threshold": (lambda d, i, r: d["object"].pop("threshold"), ["threshold"]),
+    "object in another unit": (lambda d, i, r: d["object"].update(unit="inch"), ["object", "inch"]),
+    "threshold in mm": (lambda d, i, r: d["object"].update(threshold=1e3 * d["object"]["threshold"]), ["threshold"]),
+    "lambda in mm": (lambda d, i, r: in_mm(d["object"], "lambda"), ["lambda"]),
+    "lambda of nothing": (lambda d, i, r: d["object"].update({"lambda": np.zeros((3, 3)).tolist()}), ["lambda"]),
+    "vertices in mm": (lambda d, i, r: d["object"].update(vertices=[[10.0, 0, 0]]), ["vertices"]),
     "visibility missing": (lambda d, i, r: r[0].pop("visibility"), ["ID", "0", "visibility"]),
     "visibility in percent": (lambda d, i, r: r[0].update(visibility=80), ["ID", "visibility"]),
     "camera of text": (lambda d, i, r: i.update(camera="pinhole"), ["ID", "camera"]),

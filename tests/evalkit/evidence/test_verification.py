@@ -87,6 +87,38 @@ def test_the_pose_that_made_the_image_is_verified_and_another_contradicted() -> 
     assert found[1].through > 0.9
 
 
+@pytest.mark.parametrize(("tilt", "above"), [(0.05, 0.005), (0.1, 0.008), (0.2, 0.005)])
+def test_a_thin_part_on_its_edge_is_verified_with_another_lying_across_it(tilt: float, above: float) -> None:
+    """Few of its pixels hold the pose, and those of the part across must not draw it away from what it explains."""
+    cube, camera = np.sign(BOX), Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
+    plates = [cube * [0.03, 0.02, 0.002], cube * [0.002, 0.02, 0.025] + [-0.028, 0.0, 0.025]]
+    model = ObjectModel.from_mesh("bracket", np.concatenate(plates), np.concatenate([FACES, FACES + 8]))
+    standing = poses.from_axis_angle([1.0, 0.3, 0.2], tilt) @ poses.from_axis_angle([1.0, 0.0, 0.0], np.pi / 2)
+    on_edge = poses.from_rotation_translation(standing, [0.0, 0.0, 0.5])
+    across = poses.from_rotation_translation(np.eye(3), [0.03, 0.0, 0.478 - above])
+    depth = np.full((camera.height, camera.width), 0.54, np.float32)
+    for pose in (on_edge, across):
+        seen = RayTracer(model).trace(pose, camera, most=10**6)
+        depth[seen.v, seen.u] = np.minimum(depth[seen.v, seen.u], seen.depth)
+    (part,) = Verifier(model).examine(depth, camera, on_edge[None])
+    assert part.verdict is Verdict.VERIFIED, part.reason
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_a_face_in_the_plane_of_a_floor_or_a_wall_verifies_nothing(turn: float) -> None:
+    """A box sunk into the floor up to its top explains all that is measured, but so it does anywhere on the floor."""
+    pose = poses.from_rotation_translation(poses.from_axis_angle([1.0, 0.0, 0.0], turn), [0.0, 0.0, 0.45])
+    on_plane, normal = pose[:3, 3] - 0.01 * pose[:3, 2], pose[:3, 2]
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
+    floor = (normal @ on_plane / (rays @ normal)).astype(np.float32)
+    (sunk,) = examined(floor, pose)
+    assert sunk.verdict is Verdict.UNDECIDED and "goes on beyond" in sunk.reason
+    lying, seen = floor + np.float32(0.02), RayTracer(box()).trace(pose, CAMERA)
+    lying[seen.v, seen.u] = seen.depth
+    assert examined(lying, pose)[0].verdict is Verdict.VERIFIED
+
+
 def test_a_pose_is_right_within_a_tenth_of_the_diameter_as_sym_has_it() -> None:
     """Its surface may be off by several times what a depth camera is; the fit tells by how much."""
     model, pose = box(), at(0.0, 0.0, 0.45)

@@ -332,3 +332,11 @@ def test_a_browser_shows_the_page(folder, chromium, tmp_path):
     assert shown.std() > 20
     blue = np.abs(shown.astype(int) - (168, 95, 31)).max(-1) < 12  # the curves' color, BGR
     assert blue.sum() > 2000
+
+
+def test_images_of_the_same_names_that_show_other_scenes_are_refused(documents, shards, tmp_path):
+    predictions, truth = documents
+    turned = [replace(image, cam_from_obj=image.cam_from_obj[::-1] * [[1], [-1], [-1], [1]]) for image in truth.images]
+    with pytest.raises(ValueError, match="shows other instances"):
+        save_report(tmp_path / "r.html", replace(predictions, images=[]), replace(truth, images=turned), shards)
+    assert not (tmp_path / "r.html").exists()

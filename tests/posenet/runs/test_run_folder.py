@@ -176,6 +176,17 @@ def test_a_finished_folder_that_became_read_only_is_refused_before_training(
     assert describe_os_error(caught.value).startswith(f"{run.path} is on a read-only file system")
 
 
+@pytest.mark.parametrize("name", ["model.pt", "last.pt", "dataset.json"])
+def test_a_model_that_no_run_made_and_shards_are_not_mixed_with_a_run(
+    name: str, debug_shards: Path, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(InputError, match=f"{name}: is there, but no run's"):
+        fit(options(debug_shards, tmp_path))
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "precious"
+
+
 def test_what_a_killed_write_left_behind_is_removed(debug_shards: Path, tmp_path: Path) -> None:
     run = fit(options(debug_shards, tmp_path / "run", epochs=1))
     leftover = run.path / ".checkpoint.pt.abc.tmp"

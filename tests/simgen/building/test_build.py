@@ -220,6 +220,7 @@ def run(*arguments: str) -> Result:
         (["--tilt", "60-20"], "--tilt 60-20"),
         (["--tilt", "20-90"], "--tilt 90"),
         (["--distance", "0"], "--distance 0"),
+        (["--distance", "800-1200"], "--distance 800-1200: must be meters"),
         (["--look-at-jitter", "-0.1"], "--look-at-jitter -0.1"),
         (["--bin-jitter", "nan"], "--bin-jitter nan"),
         (["--walls", "2"], "--walls 2"),

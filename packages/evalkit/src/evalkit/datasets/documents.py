@@ -13,7 +13,7 @@
 The object's name is null where nobody stated one; it then matches any. "box_center" is the center of the box around
 its mesh: it says which frame of the object the poses map from. R (3x3) and t (meters) are ``cam_from_obj``.
 "frame" is "camera" (the default) or "world"; "world" says that an adapter knew no camera and left the poses as they
-were published, ``world_from_obj``. Unknown fields are let pass.
+were published, ``world_from_obj``. Unknown fields are let pass, but for a unit other than meters.
 
 "visibility" says which share an instance's "visibility" is, "geometric" or "returned" (see
 :class:`evalkit.datasets.scene.Instances`); null where nobody stated it. Where the document holds the other share as
@@ -36,6 +36,7 @@ from evalkit.atomic import atomic_path
 from evalkit.datasets.object_reference import LARGEST, checked_reference
 from evalkit.datasets.pose_rows import Layout, Rows, checked_poses, first_fault, row_dicts, to_arrays
 from evalkit.datasets.scene import Share
+from evalkit.datasets.stated_unit import require_meters
 from evalkit.datasets.visibility_fields import FIELDS, are_shares, other_share, read_share, share_fields
 from evalkit.errors import InputError, shortened
 from evalkit.geometry.camera import Camera
@@ -207,6 +208,8 @@ def _read(path: Path | str, layout: Layout) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("format") != layout.format:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise InputError(f"{path}: 'format' must be \"{layout.format}\", found {shortened(found)}.")
+    require_meters(document, str(path))
+    require_meters(document.get("object"), f"{path}: object")
     return document
 
 
@@ -225,6 +228,7 @@ def _entries(path: Path | str, document: dict[str, Any], layout: Layout) -> list
         if name in seen:
             raise InputError(f"{path}: image '{name}': the 'id' occurs twice; give each image one entry.")
         seen.add(name)
+        require_meters(entry, f"{path}: image '{name}'")
         if not isinstance(entry.get(layout.rows), Rows):
             raise InputError(f"{path}: image '{name}': {first_fault(entry.get(layout.rows), layout)}")
     return images

@@ -110,6 +110,7 @@ def checked_poses(
     that is the origin.
     """
     counts = [len(row.value) for row in rows]
+    mend = "" if center is not None else "; where the mesh's origin lies so far off, the object's 'box_center' as well"
     rotation = np.concatenate([row.rotation for row in rows] or [np.zeros((0, 3, 3))])
     translation = np.concatenate([row.translation for row in rows] or [np.zeros((0, 3))])
     value = np.concatenate([row.value for row in rows] or [np.zeros(0)])
@@ -118,7 +119,7 @@ def checked_poses(
         (np.isfinite(translation).all(1), "'t' holds a number that is not finite"),
         (np.isfinite(value), f"'{layout.value}' is not finite"),
         (poses.is_rotation(rotation, ROTATION_TOLERANCE), "'R' is not a rotation (orthonormal rows, determinant +1)"),
-        (_near(rotation, translation, center), f"'t' lies beyond {FARTHEST:g} m; give meters, not millimeters"),
+        (_near(rotation, translation, center), f"'t' lies beyond {FARTHEST:g} m; give meters, not millimeters{mend}"),
     ]
     for holds, complaint in laws:
         if not holds.all():

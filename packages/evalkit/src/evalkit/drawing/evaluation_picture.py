@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 OUTCOME_COLORS = ((IGNORED, GRAY), (FALSE, RED), (DUPLICATE, RED), (TRUE, GREEN))  # later ones are drawn on top
 LEGEND = (("ground truth, found", WHITE), ("missed", BLUE), ("true", GREEN), ("false", RED), ("ignored", GRAY))
 SHORTEST_SIDE = 480  # pixels; smaller depth images are enlarged
+SAME_PLACE = 0.01  # diameters; instances of one image are stored exactly
 WORDS_WIDTH = 68  # characters beside the images
 
 
@@ -62,6 +63,18 @@ class Confident:
         return {outcome.id: outcome for outcome in self.result.images()}
 
     def draw(self, view: View, model: ObjectModel, name: str) -> Image:
+        """One image with its outcome.
+
+        Raises:
+            InputError: the view is another image, which has the same name in another dataset.
+        """
+        labeled, there = (model.centers(image.cam_from_obj) for image in (self.truths[name], view.instances))
+        apart = np.linalg.norm(labeled[:, None] - there[None], axis=2).min(1, initial=np.inf)
+        if (apart > SAME_PLACE * model.diameter).any():
+            raise InputError(
+                f"the shards' image '{name}' shows other instances than {self.truth.source} has there; give the shards "
+                "that the ground truth is of."
+            )
         return draw_outcome(view, model, self.truths[name], self.hypotheses.get(name), self.outcomes[name])
 
 

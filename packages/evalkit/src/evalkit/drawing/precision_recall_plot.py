@@ -24,7 +24,9 @@ def draw_precision_recall(axes: Axes, result: Result) -> None:
     axes.fill_between(recall, precision, step="pre", color=FILL, linewidth=0)
     best = int(curve.f1.argmax())
     axes.plot(curve.recall[best], curve.precision[best], "o", color=LINE, markersize=6, markeredgecolor="white")
-    axes.text(0.03, 0.05, _figures(result), transform=axes.transAxes, color=INK, linespacing=1.4)
+    low = result.ap < 0.5  # the curve then leaves the upper right corner free, and else the lower left one
+    x, y, side, end = (0.97, 0.95, "right", "top") if low else (0.03, 0.05, "left", "bottom")
+    axes.text(x, y, _figures(result), transform=axes.transAxes, color=INK, linespacing=1.4, ha=side, va=end)
     axes.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
     axes.set_title(title(result), loc="left", color=INK)
     tidy(axes)

@@ -33,6 +33,9 @@ def fitted(
 ) -> Array:
     """The pose (4, 4) after point-to-plane ICP (Chen & Medioni 1991) on a depth image (height, width) in meters.
 
+    Where the fit explains the image worse than the pose given, that one is returned: of a thin part seen on its edge
+    few pixels hold the pose, and those of its neighbors draw it away.
+
     Args:
         center: (3,) the point of the object about which steps turn.
     """
@@ -45,7 +48,18 @@ def fitted(
         pose[:3, :3] = poses.nearest_rotation(pose[:3, :3])
         if np.abs(step - np.eye(4)).max() < STILL * min(1.0, diameter):
             break
-    return pose
+    reach = REACH[1] * diameter
+    given = np.array(cam_from_obj, float)
+    return min((pose, given), key=lambda one: _misfit(one, tracer, depth, camera, reach))
+
+
+def _misfit(pose: Array, tracer: RayTracer, depth: NDArray[np.float32], camera: Camera, reach: float) -> float:
+    """Mean distance between measured and traced depth where nothing hides the part, cut at `reach`, in parts of it."""
+    seen = tracer.trace(pose, camera, RAYS)
+    measured = np.asarray(depth[seen.v, seen.u], float)
+    gap = measured - seen.depth
+    counted = (measured > 0) & (gap > -reach)
+    return float(np.minimum(np.abs(gap[counted]), reach).mean() / reach) if counted.any() else 1.0
 
 
 def _step(

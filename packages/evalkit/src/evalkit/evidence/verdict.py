@@ -8,6 +8,9 @@ silhouette the measured depth
 * lies in front: something may hide the surface, which says nothing;
 * is missing, which says nothing either.
 
+Where it all agrees but goes on beyond the silhouette, without an edge, the pose is undecided: a plate's face agrees
+with any floor, wherever it is put.
+
 Surface that the camera sees at a grazing angle is left out: there a pixel's width changes depth by more than the
 tolerance, and stereo cameras smear edges.
 """
@@ -22,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.depth.noise import depth_noise
+from evalkit.evidence.contour import share_going_on
 from evalkit.evidence.pose_fit import fitted
 from evalkit.evidence.ray_tracer import RayTracer, Traced
 from evalkit.geometry.camera import Camera
@@ -40,6 +44,7 @@ LEAST_AGREEMENT = 0.7  # of the pixels that agree or are looked through
 MOST_THROUGH = 0.2  # of the silhouette
 LEAST_SEEN = 0.2  # of the silhouette that agrees, less THROUGH_WEIGHT of what is looked through; below, who can tell
 THROUGH_WEIGHT = 0.3
+MOST_GOING_ON = 0.5  # of the contour; a face in the plane of a floor could as well be a step farther
 FEWEST = 40  # pixels that agree; fewer verify nothing
 
 
@@ -133,6 +138,12 @@ def _judged(
         len(u) * (1.0 + traced.outside / max(len(traced), 1)),
     )
     verdict, reason = _rule(counts, traced.stride, moved / threshold)
+    if verdict is Verdict.VERIFIED:
+        asked = np.zeros(len(traced), bool)
+        asked[np.flatnonzero(plain)[agrees]] = True
+        share = share_going_on(traced, depth, camera, asked, WELL * tolerance)
+        if share > MOST_GOING_ON:
+            verdict, reason = Verdict.UNDECIDED, f"its surface goes on beyond {share:.0%} of its contour, as a floor's"
     agreeing, through, hidden = (
         part / max(counts.silhouette, 1.0) for part in (counts.agreeing, counts.through, counts.hidden)
     )

@@ -18,6 +18,7 @@ from evalkit.objects.symmetry import Symmetry
 Array = NDArray[np.float64]
 THRESHOLD_RATIO = 0.1
 SAMPLE_POINTS = 1000
+LEAST_SPREAD = 1e-3  # diameters that a surface spreads from its centroid, however few of it lies far from it
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +181,7 @@ class ObjectModel:
             for key in ("points", "vertices")
         )
         notes = document.get("notes")
-        return cls(
+        model = cls(
             name=str(document.get("name") or ""),
             diameter=diameter,
             centroid=_numbers(document, "centroid", (3,), where),
@@ -192,6 +193,31 @@ class ObjectModel:
             vertices=vertices,
             notes=notes if isinstance(notes, dict) else {},
         )
+        model.require_one_unit(where)
+        return model
+
+    def require_one_unit(self, where: str) -> None:
+        """Refuse lengths that cannot belong together: some may be millimeters.
+
+        The root mean square distance of the surface from its centroid, which Lambda holds, and that of any point are at
+        most half the diameter; the threshold is a part of it.
+
+        Raises:
+            InputError: they differ from that by more than any rounding.
+        """
+        spread = float(np.linalg.norm(self.lam))
+        farthest = [
+            float(np.linalg.norm(some - self.centroid, axis=1).max())
+            for some in (self.points, self.vertices)
+            if some is not None
+        ]
+        lengths = {"threshold": self.threshold, "lambda": spread, "points or vertices": max([0.0, *farthest])}
+        wrong = next((name for name, length in lengths.items() if length > self.diameter), None)
+        if wrong is not None or spread < LEAST_SPREAD * self.diameter:
+            raise InputError(
+                f"{where}: its {wrong or 'lambda'} and its diameter of {self.diameter:g} m cannot be of one object; "
+                "give all of them in meters."
+            )
 
 
 def surface_moments(vertices: ArrayLike, faces: ArrayLike) -> tuple[float, Array, Array]:

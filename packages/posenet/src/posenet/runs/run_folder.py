@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.atomic import write_json, write_text
+from evalkit.datasets.shard_folder import DATASET_FILE
 from evalkit.errors import InputError
 from posenet.config import Config
 from posenet.models.model_file import MODEL_FILE, read_torch_file, write_torch_file
@@ -67,11 +68,12 @@ class RunFolder:
             made_by: what is noted beside it.
 
         Raises:
-            InputError: the folder holds another run.
+            InputError: the folder holds another run, or what is none and would be overwritten or mixed with one.
             OSError: it cannot be written.
         """
         file = self.path / "run.json"
         if not file.exists():
+            self._require_empty_of_others()
             write_json(file, {"format": RUN_FORMAT, **identity, **length, "made_by": made_by}, indent=1)
             return False
         known, wanted = _comparable(self._read(file)), _comparable(json.loads(json.dumps(identity)))
@@ -83,6 +85,13 @@ class RunFolder:
             )
         self._require_writable()
         return self.checkpoint.exists()
+
+    def _require_empty_of_others(self) -> None:
+        """Refuse a folder with a model of another making, or with shards; run.json is there before a run's own."""
+        others = [self.model, self.last, self.checkpoint, self.path / DATASET_FILE]
+        there = next((file for file in others if file.exists()), None)
+        if there is not None:
+            raise InputError(f"{there}: is there, but no run's (run.json is missing); choose another folder with -o.")
 
     def note_length(self, length: dict[str, Any]) -> None:
         """Write down another budget than before; for whoever has the folder locked."""

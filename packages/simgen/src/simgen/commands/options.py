@@ -21,6 +21,7 @@ from simgen.presets import PHYSICS, PRESETS, default_camera
 from simgen.rendering.measured_table import read_table
 from simgen.sensors.sensor_config import parse_sensor
 
+MOST_METERS = 50.0  # farther off is no camera of bins; millimeters would be
 DEFAULT_SHARE = 0.3  # of distractors
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -178,8 +179,11 @@ def distances_in_meters(distance: str | None) -> tuple[float, float] | None:
     if distance is None or distance.endswith("x"):
         return None
     nearest, farthest = parse_range("--distance", distance)
-    if nearest <= 0:
-        raise InputError(f"--distance {distance}: must be positive meters from the bin's floor, as in 0.4-0.6.")
+    if nearest <= 0 or farthest > MOST_METERS:
+        raise InputError(
+            f"--distance {distance}: must be meters from the bin's floor, above 0 and at most {MOST_METERS:g}, as in "
+            "0.4-0.6."
+        )
     return nearest, farthest
 
 
