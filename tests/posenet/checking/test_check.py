@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from evalkit.datasets.documents import PredictionImage
 from evalkit.datasets.shard_folder import ShardDataset
+from evalkit.evidence import verdict
 from evalkit.evidence.verdict import Verifier
 from evalkit.evidence.verification import verify_image
 from evalkit.geometry.camera import Camera
@@ -78,6 +79,14 @@ def test_small_parts_noise_and_wrong_poses_are_named(debug_shards: Path, network
     for site, title, says in cases:
         one = finding(findings(site, network, data, "run", "frames"), title)
         assert one.grade is not Grade.FINE and says in one.mend, one
+
+
+def test_poses_of_which_most_are_undecided_are_doubted(
+    debug_shards: Path, network: PoseNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verdict, "MOST_GOING_ON", -1.0)
+    one = finding(findings(seen(debug_shards), network, record(debug_shards), "run", "frames"), "Poses")
+    assert one.grade is not Grade.FINE and one.mend
 
 
 def test_an_older_model_says_that_it_does_not_know(debug_shards: Path, network: PoseNetwork) -> None:

@@ -66,7 +66,7 @@ def verify(
     \b
     verified      where the depth measured is the part's, and the fit moved it by less than 0.1 diameters (Sym)
     contradicted  where the camera looks through the part, or the image shows it elsewhere
-    undecided     where too little of it is seen
+    undecided     where too little of it is seen, or its surface goes on beyond it, as a floor's does
 
     Of several verified poses of one part, one counts; the others are duplicates, and count against precision.
     """

@@ -76,6 +76,9 @@ def _poses(site: Site, model: str, frames: str) -> Finding:
     if site.contradicted_share > MOST_CONTRADICTED[0]:
         mend = f"Let it learn these images: posenet adapt {model} {frames}"
         return Finding("Poses", here, usual, Grade.DOUBTFUL, mend)
+    if undecided > verified:
+        mend = "Look at the amber poses: is too little of them seen, or do they lie in the plane of a floor or a wall?"
+        return Finding("Poses", here, usual, Grade.DOUBTFUL, mend)
     return Finding("Poses", here, usual, Grade.FINE)
 
 
