@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from evalkit.atomic import atomic_path
 from evalkit.errors import InputError
@@ -22,7 +24,9 @@ from posenet.config import Config
 from posenet.models.compact import compact, expand
 from posenet.network.pose_network import PoseNetwork
 
+Array = NDArray[np.float64]
 FORMAT = "binpose-model/1"
+FARTHEST = 50.0  # meters; beyond it no camera looks into a bin
 MODEL_FILE = "model.pt"
 
 
@@ -71,9 +75,14 @@ def load_model(source: Path | str, device: str | torch.device = "cpu") -> Traine
         network = _rebuild(document, path)
         network.load_state_dict(expand(document["weights"]))
         record = json.loads(document["record"])
-    except (KeyError, TypeError, RuntimeError, json.JSONDecodeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a complete model of this posenet version ({reason}); train it anew.") from None
+    except InputError:
+        raise
+    except (KeyError, TypeError, RuntimeError, AttributeError, ValueError):
+        raise InputError(f"{path}: not a complete model of this posenet version; train it anew.") from None
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: its record of the training is no object of JSON; train it anew.")
+    if not all(bool(torch.isfinite(values).all()) for values in network.state_dict().values()):
+        raise InputError(f"{path}: its weights hold numbers that are not finite; train it anew.")
     network = network.to(device).eval()
     return TrainedModel(network.in_fast_layout(), record)
 
@@ -128,8 +137,23 @@ def _rebuild(document: dict[str, Any], path: Path) -> PoseNetwork:
     config = Config.from_json(json.loads(document["config"]), f"{path}: config")
     model = ObjectModel.from_json(json.loads(document["object"]), f"{path}: object")
     if "vertices" in document:
-        vertices, faces = document["vertices"].double().numpy(), document["faces"].int().numpy()
-        model = replace(model, vertices=vertices, faces=faces)
+        model = _with_mesh(model, document["vertices"].double().numpy(), document["faces"].int().numpy(), path)
     camera = Camera.from_json(json.loads(document["camera"]), f"{path}: camera")
-    low, high = json.loads(document["depth_range"])
-    return PoseNetwork(config, model, (float(low), float(high)), camera)
+    low, high = map(float, json.loads(document["depth_range"]))
+    if not 0 < low <= high <= FARTHEST:
+        raise InputError(f"{path}: its depth_range of {low:g} to {high:g} m is none over a bin; train it anew.")
+    return PoseNetwork(config, model, (low, high), camera)
+
+
+def _with_mesh(model: ObjectModel, vertices: Array, faces: NDArray[np.int32], path: Path) -> ObjectModel:
+    """The object with its mesh.
+
+    Raises:
+        InputError: faces name vertices that are not there or no numbers, or the mesh is not of the object's size.
+    """
+    shaped = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and faces.size
+    if not shaped or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices[faces]).all():
+        raise InputError(f"{path}: its mesh is damaged; train it anew.")
+    model = replace(model, vertices=vertices, faces=faces)
+    replace(model, vertices=vertices[np.unique(faces)]).require_one_unit(f"{path}: object")
+    return model
