@@ -13,6 +13,7 @@ from evalkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 BEYOND = 3  # pixels from the silhouette at which the image is asked; nearer, cameras blend both surfaces
+PLANE = 0.97  # length of the mean normal of what is seen of a plane
 DIRECTIONS = [(down, right) for down, right in product((-1, 0, 1), repeat=2) if (down, right) != (0, 0)]
 
 
@@ -21,11 +22,15 @@ def share_going_on(
 ) -> float:
     """Share of an object's contour beyond which the image shows its surface continued, as a plane, by no edge ended.
 
+    0 where what is seen of the object is no plane: a surface that curves with it is no wall.
+
     Args:
         depth: (height, width) in meters, 0 = no return.
         asked: (m,) the pixels of `traced` that may be asked: where the image agrees and the surface does not graze.
         tolerance: meters within which a surface is the continued one.
     """
+    if not asked.any() or np.linalg.norm(traced.normal[asked].mean(0)) < PLANE:
+        return 0.0
     step = math.ceil(BEYOND / traced.stride)
     row, column = ((some - some.min()) // traced.stride + step if len(some) else some for some in (traced.v, traced.u))
     covered = np.zeros((row.max(initial=0) + step + 1, column.max(initial=0) + step + 1), bool)
