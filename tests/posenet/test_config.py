@@ -23,6 +23,12 @@ def test_a_document_from_before_the_crops_could_be_chosen_means_the_crops_of_the
     assert (network.crop_widths, network.crop_layers) == ((32, 64, 64), 1)
 
 
+def test_a_document_from_before_images_trained_about_other_depths_means_that_none_did() -> None:
+    document = preset("small").to_json()
+    del document["train"]["reference_jitter"]
+    assert Config.from_json(document).train.reference_jitter == 0.0
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

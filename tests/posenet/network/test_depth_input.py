@@ -9,6 +9,7 @@ import torch
 from posenet.config import NetworkConfig
 from posenet.network import depth_input
 from posenet.network.regions import make_regions
+from posenet.network.targets import reference_shift
 
 INTRINSICS = torch.tensor([[100.0, 110.0, 31.5, 23.5]])
 
@@ -57,6 +58,28 @@ def test_relative_input_does_not_depend_on_the_cameras_distance_beyond_scale() -
     near = depth_input.network_input(depth, normals, config, 0.1, (0.3, 0.6))
     far = depth_input.network_input(depth + 0.2, normals, config, 0.1, (0.3, 0.6))
     torch.testing.assert_close(near[:, 0], far[:, 0])
+
+
+def test_an_image_shown_about_another_depth_moves_in_depth_alone_and_by_so_many_diameters() -> None:
+    depth = plane(torch.tensor([0.1, 0.0, 1.0]), 0.5).expand(2, -1, -1)
+    normals = depth_input.surface_normals(depth, INTRINSICS.expand(2, 4))
+    shift = torch.tensor([0.0, 1.5])
+    as_it_is, moved = (
+        depth_input.network_input(depth, normals, NetworkConfig(), 0.1, (0.3, 0.6), about) for about in (None, shift)
+    )
+    torch.testing.assert_close(moved[:, 0], as_it_is[:, 0] - shift[:, None, None], atol=1e-5, rtol=0)
+    torch.testing.assert_close(moved[:, 1:], as_it_is[:, 1:])
+
+
+def test_half_of_the_images_train_about_another_depth_by_the_draws_of_their_own_seeds() -> None:
+    def shift(seeds: range, largest: float = 3.0) -> torch.Tensor:
+        return reference_shift([torch.Generator().manual_seed(seed) for seed in seeds], largest)
+
+    many = shift(range(1000))
+    assert 400 < int((many != 0).sum()) < 600
+    assert many.abs().max() <= 3.0 and many.min() < -2.7 and many.max() > 2.7
+    torch.testing.assert_close(shift(range(40, 60)), many[40:60])
+    assert not shift(range(100), 0.0).any()
 
 
 def test_nearest_samples_are_pixels_of_the_image_or_zero_outside() -> None:

@@ -93,6 +93,9 @@ class TrainConfig:
     # Errors of depth cameras drawn on the fly, half as large on shards that have a camera's already; both 0: none.
     augment_noise: float = 0.015  # largest standard deviation of depth, and step of it, in diameters
     augment_holes: float = 0.05  # largest share of holes on smooth surface
+    # Largest error, in diameters, of the depth about which half of the images are shown: what stands around a bin moves
+    # an image's median, and must not move what the network makes of the parts.
+    reference_jitter: float = 3.0
     scoring_images: int = 2  # images of a batch that train confidence and registration
     scoring_every: int = 2  # steps
     scoring_rate: float = (
@@ -139,7 +142,7 @@ class Config:
 # What files say that were written before there was a choice.
 _BEFORE: dict[str, dict[str, Any]] = {
     "network": {"crop_widths": (32, 64, 64), "crop_layers": 1},
-    "train": {"object_pixels": 0.0, "images": 0, "validations": 4},
+    "train": {"object_pixels": 0.0, "images": 0, "validations": 4, "reference_jitter": 0.0},
 }
 
 
@@ -185,6 +188,7 @@ def paper() -> Config:
             object_pixels=0.0,
             augment_noise=0.0,
             augment_holes=0.0,
+            reference_jitter=0.0,
             images=0,
             validations=4,
             rois_per_image=32,
@@ -218,6 +222,7 @@ def debug() -> Config:
             box_jitter=0.04,
             augment_noise=0.0,
             augment_holes=0.0,
+            reference_jitter=0.0,
             validation_images=8,
             validations=1,
             images=0,

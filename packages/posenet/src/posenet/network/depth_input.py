@@ -57,19 +57,28 @@ def scene_depth(depth: Tensor, depth_range: tuple[float, float], diameter: float
 
 
 def network_input(
-    depth: Tensor, normals: Tensor, config: NetworkConfig, diameter: float, depth_range: tuple[float, float]
+    depth: Tensor,
+    normals: Tensor,
+    config: NetworkConfig,
+    diameter: float,
+    depth_range: tuple[float, float],
+    shift: Tensor | None = None,
 ) -> Tensor:
     """The trunk's three channels (B, 3, H, W).
 
     depth-holes: depth over the training set's range, holes, and slant (the normal's z). Depth is absolute, as the
-    paper's depth bins need it. depth-normals: depth about the scene's in diameters, and the normal's x and y.
+    paper's depth bins need it. depth-normals: depth about the scene's in diameters, and the normal's x and y; `shift`
+    (B,) in diameters is added to the scene's depth.
     """
     valid = (depth > 0).to(depth.dtype)
     if config.input == "depth-holes":
         middle, half = sum(depth_range) / 2, max(depth_range[1] - depth_range[0], diameter) / 2
         scaled = ((depth - middle) / half).clamp(-3.0, 3.0) * valid
         return torch.stack([scaled, 1.0 - valid, normals[:, 2]], 1)
-    reference = scene_depth(depth, depth_range, diameter)[:, None, None]
+    reference = scene_depth(depth, depth_range, diameter)
+    if shift is not None:
+        reference = reference + shift * diameter
+    reference = reference[:, None, None]
     scaled = ((depth - reference) / diameter).clamp(-4.0, 4.0) * valid
     return torch.stack([scaled, normals[:, 0], normals[:, 1]], 1)
 

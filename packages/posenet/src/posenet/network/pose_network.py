@@ -102,7 +102,8 @@ class PoseNetwork(nn.Module):
         that train together never wait for what one of them has not.
         """
         draws = batch.draws()
-        images = self.encode(batch.depth, batch.intrinsics)
+        shift = targets.reference_shift(draws, self.config.train.reference_jitter)
+        images = self.encode(batch.depth, batch.intrinsics, shift.to(batch.depth))
         find, ignore = targets.detection_targets(batch, self.config.train.min_visibility)
         with self._autocast():
             found = self.detector.losses(self.detector(images.features, images.size), find, ignore, draws)
@@ -135,12 +136,12 @@ class PoseNetwork(nn.Module):
             self.train(was_training)
             self.bf16 = had
 
-    def encode(self, depth: Tensor, intrinsics: Tensor) -> ImageFeatures:
-        """Images (B, H, W) in meters with intrinsics (B, 4) through the trunk; padded until its cells cover them."""
+    def encode(self, depth: Tensor, intrinsics: Tensor, shift: Tensor | None = None) -> ImageFeatures:
+        """Images (B, H, W) in meters through the trunk, padded until its cells cover them; `shift` (B,) in training."""
         depth = depth_input.pad_to_multiple(depth, self.backbone.stride)
         normals = depth_input.surface_normals(depth, intrinsics)
         image = depth_input.network_input(
-            depth, normals, self.config.network, self.model.diameter, self.depth_range
+            depth, normals, self.config.network, self.model.diameter, self.depth_range, shift
         ).contiguous(memory_format=torch.channels_last)
         with self._autocast():
             return ImageFeatures(depth, intrinsics, normals, self.backbone(image))

@@ -71,6 +71,14 @@ def detection_targets(batch: Batch, min_visibility: float) -> tuple[list[Tensor]
     return find, ignore
 
 
+def reference_shift(draws: list[torch.Generator], largest: float) -> Tensor:
+    """By how much (B,) each image is shown about another depth than its own: half of them, up to `largest`."""
+    if largest == 0:
+        return torch.zeros(len(draws))
+    shift = torch.cat([torch.rand(1, generator=draw) for draw in draws]) * 4 - 2  # beyond -1 .. 1: as it is
+    return torch.where(shift.abs() <= 1, shift * largest, 0.0)
+
+
 def sample_regions(batch: Batch, config: TrainConfig, draws: list[torch.Generator]) -> RegionSample:
     """At most `rois_per_image` instances of each image, at random, with boxes as inexact as a detector's."""
     boxes, index, instance_poses = [], [], []
