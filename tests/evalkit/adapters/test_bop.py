@@ -312,6 +312,7 @@ def test_images_of_several_cameras_go_to_a_folder_each(split, tmp_path):
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0]), "'3'.*instance 2.*cam_t_m2c"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, float("nan")]), "cam_t_m2c.*finite"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 0.9]), "'3'.*millimeters"),
+        ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 20.0]), "'3'.*within 3.* mm of the camera"),
         ("scene_gt", lambda d: d["3"][2].update(cam_t_m2c=[0, 0, 9e5]), "'3'.*unit"),
         ("scene_gt", lambda d: d["3"][0].update(obj_id="1"), "'3'.*obj_id"),
         ("scene_gt", lambda d: d.update({"3": {}}), "'3'"),
@@ -323,12 +324,30 @@ def test_images_of_several_cameras_go_to_a_folder_each(split, tmp_path):
         ("scene_camera", lambda d: d["3"].update(cam_K=K[:8]), "'3'.*cam_K"),
         ("scene_camera", lambda d: d["3"].update(cam_K=[600, 30, *K[2:]]), "'3'.*skew"),
         ("scene_camera", lambda d: d["3"].update(cam_K=[-600, 0, *K[2:]]), "'3'.*focal"),
+        ("scene_camera", lambda d: d["3"].update(cam_K=np.reshape(K, (3, 3)).T.ravel().tolist()), "'3'.*row by row"),
     ],
 )
 def test_what_is_wrong_in_a_scene_is_named(split, name, change, word):
     edit(split / "000001" / f"{name}.json", change)
     with pytest.raises(InputError, match=rf"{name}\.json.*{word}"):
         bop.read_ground_truth(split, object_id=1)
+
+
+@pytest.mark.parametrize("scale", [0, -0.1, float("nan"), None])
+def test_a_scale_of_depth_that_gives_no_depth_is_refused_before_an_image_is_read(split, scale):
+    edit(split / "000001" / "scene_camera.json", lambda d: d["4"].update(depth_scale=scale))
+    with pytest.raises(InputError, match=r"scene_camera\.json: image '4'.*depth_scale"):
+        list(bop.depth_images(split))
+
+
+def test_a_scene_that_lacks_what_others_have_is_not_left_out_in_silence(tmp_path):
+    split = write_dataset(tmp_path / "set", scenes=(1, 7))
+    (split / "000007" / "scene_gt.json").unlink()
+    (split / "000001" / "scene_camera.json").unlink()
+    for read, name in ((lambda: bop.read_ground_truth(split, object_id=1), "000007.*scene_gt.json"),
+                       (lambda: list(bop.depth_images(split)), "000001.*scene_camera.json")):  # fmt: skip
+        with pytest.raises(InputError, match=name):
+            read()
 
 
 @pytest.mark.parametrize(

@@ -53,10 +53,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 REFUSED = {
-    "an output that is read": (["old.json", "-o", "old.json"], "overwrite"),
-    "under another name": (["old.json", "-o", "frames/../old.json"], "overwrite"),
+    "an output that is read": (["old.json", "-o", "old.json"], "never overwritten"),
+    "under another name": (["old.json", "-o", "frames/../old.json"], "never overwritten"),
     "a mesh that may be a name": (["frames", "--object", "part.stl", "-o", "part.stl"], ".json"),
-    "one of the images read": (["frames", "--picture", "frames/0.png"], "overwrite"),
+    "one of the images read": (["frames", "--picture", "frames/0.png"], "never overwritten"),
     "a document of another kind": (["frames", "-o", "gt.json"], "binpose-gt"),
     "somebody else's document": (["frames", "-o", "camera.json"], "something else"),
     "a folder": (["frames", "-o", "frames"], "folder"),

@@ -87,7 +87,7 @@ def require_apart(written: dict[str, Path], read: list[Path]) -> None:
         if twin != option:
             raise InputError(f"{path}: {twin} and {option} both write it; give two names.")
         if path.exists() and any(_holds(source, path) for source in read):
-            raise InputError(f"{path}: {option} would overwrite what is read; choose another name.")
+            raise InputError(f"{path}: is read, and what is read is never overwritten; choose another {option}.")
 
 
 def _holds(source: Path, path: Path) -> bool:

@@ -31,7 +31,8 @@ from evalkit.json_file import load_json
 from evalkit.objects.model import ObjectModel
 
 Array = NDArray[np.float64]
-NEAREST = 0.01  # meters; a camera sees nothing nearer, but meters read as millimeters lie there
+NEAREST = 0.01  # meters; a camera sees nothing nearer, but meters read as millimeters lie there …
+NEAREST_SHARE = 0.25  # … or within this share of the object's diameter, for its origin is not its center
 
 
 def read_ground_truth(
@@ -99,7 +100,7 @@ def depth_images(folder: Path, *, sensor: str | None = None, targets: Path | Non
             if wanted is None or (scene.number, number) in wanted:
                 where = f"{scene.file('scene_camera')}: image '{number}'"
                 camera = _camera(cameras, number, where, _SizeSource(None, None, None).of(scene, number))
-                read = partial(_depth, scene, number, cameras[number], where)
+                read = partial(scene.read_depth, number, _depth_scale(cameras[number], where))
                 yield DepthImage(image_id(scene.number, number), camera, read)
 
 
@@ -189,7 +190,15 @@ class _Reader:
 
 
 def _depth(scene: Scene, number: int, entry: Any, where: str) -> Array:
-    return scene.read_depth(number, float(numbers(entry, "depth_scale", (), where)))
+    return scene.read_depth(number, _depth_scale(entry, where))
+
+
+def _depth_scale(entry: Any, where: str) -> float:
+    """Millimeters a step of a depth image."""
+    scale = float(numbers(entry, "depth_scale", (), where))
+    if scale <= 0:
+        raise InputError(f"{where}: the field 'depth_scale' is {scale:g}, and must be positive millimeters a step.")
+    return scale
 
 
 def _poses(rows: list[dict[str, Any]], chosen: list[int], model: ObjectModel, where: str) -> Array:
@@ -199,9 +208,10 @@ def _poses(rows: list[dict[str, Any]], chosen: list[int], model: ObjectModel, wh
     rotation = [numbers(rows[k], "cam_R_m2c", (3, 3), f"{where}: instance {k}") for k in chosen]
     translation = [numbers(rows[k], "cam_t_m2c", (3,), f"{where}: instance {k}") * METERS for k in chosen]
     cam_from_obj = checked_poses(np.array(rotation), np.array(translation), place)
-    if (np.linalg.norm(model.centers(cam_from_obj), axis=1) < NEAREST).any():
+    nearest = max(NEAREST, NEAREST_SHARE * model.diameter)
+    if (np.linalg.norm(model.centers(cam_from_obj), axis=1) < nearest).any():
         raise InputError(
-            f"{where}: an object lies within {1e3 * NEAREST:g} mm of the camera; BOP's unit is millimeters."
+            f"{where}: an object lies within {1e3 * nearest:.3g} mm of the camera; BOP's unit is millimeters."
         )
     return cam_from_obj
 
@@ -212,6 +222,8 @@ def _camera(cameras: dict[int, Any], number: int, where: str, size: tuple[int, i
     matrix = numbers(cameras[number], "cam_K", (3, 3), where)
     if abs(matrix[0, 1]) > 1e-3 * abs(matrix[0, 0]):
         raise InputError(f"{where}: the field 'cam_K' has skew, which this camera model lacks; rectify the images.")
+    if np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max() > 1e-6 * max(1.0, abs(matrix[0, 0])):
+        raise InputError(f"{where}: the field 'cam_K' is no camera matrix (fx, 0, cx, 0, fy, cy, 0, 0, 1), row by row.")
     try:
         return Camera(*size, *(float(matrix[k]) for k in ((0, 0), (1, 1), (0, 2), (1, 2))))
     except InputError as error:

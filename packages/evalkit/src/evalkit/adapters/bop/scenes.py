@@ -68,10 +68,19 @@ def find_scenes(folder: Path, sensor: str | None = None, stem: str = "scene_gt")
     scenes = [path for path in candidates if (path / f"{stem}{name}.json").is_file()]
     if not scenes:
         raise InputError(_no_scenes(folder, candidates, stem))
+    lacking = [] if folder in scenes else [path for path in candidates if path not in scenes and _is_scene(path)]
+    if lacking:
+        raise InputError(
+            f"{lacking[0]}: lacks {stem}{name}.json, which {scenes[0].name} has; fetch it again, or give one scene."
+        )
     for path in scenes:
         if not path.resolve().name.isdecimal():
             raise InputError(f"{path}: a scene's folder must be named by its number, such as 000001.")
     return [Scene(path, int(path.resolve().name), name) for path in scenes]
+
+
+def _is_scene(folder: Path) -> bool:
+    return folder.name.isdecimal() and (next(folder.glob("scene_*.json"), None) or folder / "depth").exists()
 
 
 def _no_scenes(folder: Path, candidates: list[Path], stem: str) -> str:
