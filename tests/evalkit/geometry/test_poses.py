@@ -93,7 +93,23 @@ def test_a_roughened_rotation_is_mended_to_the_nearest() -> None:
     assert poses.is_rotation(mended, 1e-12).all()
     assert poses.rotation_angle(rotations, mended).max() < 0.05
     assert poses.nearest_rotation(rotations) == pytest.approx(rotations)
-    assert poses.is_rotation(poses.nearest_rotation(np.diag([1.0, 1.0, -1.0])))
+
+
+@pytest.mark.parametrize("batch", [(), (0,), (7,), (2, 3)])
+def test_the_nearest_rotation_is_that_of_the_singular_value_decomposition(batch: tuple[int, ...]) -> None:
+    matrices = np.random.default_rng(1).normal(size=(*batch, 3, 3))
+    u, _, vt = np.linalg.svd(matrices)
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    assert poses.nearest_rotation(matrices) == pytest.approx(u @ vt, abs=1e-9)
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), np.outer([1.0, 2, 3], [3.0, 1, 1]), np.zeros((3, 3))])
+def test_the_nearest_rotation_of_what_has_several_is_one_of_them(matrix: np.ndarray) -> None:
+    assert poses.is_rotation(poses.nearest_rotation(matrix), 1e-12)
+
+
+def test_what_is_no_number_has_no_nearest_rotation() -> None:
+    assert np.isnan(poses.nearest_rotation(np.full((3, 3), np.nan))).all()
 
 
 def test_random_rotations_are_uniform() -> None:

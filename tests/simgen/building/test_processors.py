@@ -33,6 +33,8 @@ turn = poses.from_axis_angle([1, 2, 3], 0.7)
 aslant = resolve_symmetry(poses.compose(bar.vertices, turn), bar.faces, "auto")
 assert aslant.symmetry.name == "dihedral:2"
 build_shard(job, folder, 0)
+rough = poses.random_rotations(np.random.default_rng(1), 50) + np.random.default_rng(2).normal(0, 1e-3, (50, 3, 3))
+print(hashlib.sha256(poses.nearest_rotation(rough).tobytes()).hexdigest())
 print(hashlib.sha256(round_body.tobytes()).hexdigest(), json.dumps(found.symmetry.to_json()), digests(folder))
 print(json.dumps(aslant.symmetry.to_json()), repr(aslant.residual))
 """

@@ -24,6 +24,8 @@ from simgen.presets import PHYSICS
 BALL = [trimesh.creation.icosphere(1, 0.05)]
 ANGLE = [trimesh.creation.box([0.08, 0.03, 0.01]), trimesh.creation.box([0.01, 0.03, 0.06])]
 TILE = [trimesh.creation.box([0.08, 0.05, 0.004])]
+ROD = [trimesh.creation.cylinder(0.00035, 0.1, sections=8)]
+SHEET = [trimesh.creation.box([0.08, 0.06, 0.0002])]
 RIM = 0.001  # meters; nothing holds a ball in a bin as low
 
 
@@ -81,6 +83,20 @@ def test_what_has_settled_stays_where_it_is(meshes: list[trimesh.Trimesh], physi
         world.rest(physics.quiet_window)
         after = poses.apply(world.world_from_obj(), vertices_of(meshes))
     assert np.abs(after - before).max() < 1e-3
+
+
+@pytest.mark.parametrize("meshes", [ROD, SHEET], ids=["rod", "sheet"])
+def test_what_is_thinner_than_its_fall_in_a_step_stays_above_the_floor(
+    meshes: list[trimesh.Trimesh], physics: PhysicsConfig
+) -> None:
+    """Nor does it weigh too little for the engine's single precision."""
+    body, rng = body_of(meshes, physics), np.random.default_rng(2)
+    with world_of(body, BinSize(0.2, 0.2, 0.2), physics) as world:
+        starts = np.array([[0.05 * (i % 3 - 1), 0.05 * (i // 3), 0.1 + 0.03 * i] for i in range(5)]) * body.scale
+        world.drop(starts, random_quaternions(rng, 5))
+        world.fall(0.4)
+        world.rest(0.4)
+        assert (world.lowest() > -0.02 * physics.simulated_diameter).all()
 
 
 def test_the_same_scene_has_the_same_bits(physics: PhysicsConfig) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from evalkit.errors import InputError
 
 ENGINES = ("pybullet", "rapier")
-PILE_RULES = 2  # raised whenever the same config gives other piles
+PILE_RULES = 3  # raised whenever the same config gives other piles
 WALL_LESS_REACH = 4.0  # of the bin's half side: as far as the ground that is drawn is sure to reach
 
 
@@ -127,6 +127,7 @@ class PhysicsConfig:
     thin_fall_time_step: float = 1 / 480  # of thin ones, which longer steps drive into the floor
     fall_iterations: int = 20
     time_step: float = 1 / 120  # afterwards
+    thin_time_step: float = 1 / 120  # of very thin ones
     solver_iterations: int = 80  # fewer cost more: piles jitter longer before they rest
     contact_margin: float = 1e-5  # Bullet's default floats hulls 1 mm above each other
     contact_frequency: float = 0.0  # hertz, of the spring that pushes bodies apart; 0 is the engine's own

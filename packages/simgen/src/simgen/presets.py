@@ -97,9 +97,10 @@ def rapier() -> PhysicsConfig:
         simulated_diameter=1.0,
         gravity=98.1,
         fall_time_step=1 / 120,
-        thin_fall_time_step=1 / 120,
+        thin_fall_time_step=1 / 480,
         fall_iterations=8,
         time_step=1 / 60,
+        thin_time_step=1 / 240,  # or rods slide through each other, and never rest
         solver_iterations=16,
         contact_margin=1e-3,
         contact_frequency=100.0,

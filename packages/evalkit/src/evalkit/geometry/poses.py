@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+MAX_SWEEPS = 50  # of Jacobi's rotations; five or so are needed
 
 
 def from_rotation_translation(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -67,11 +68,47 @@ def is_rotation(matrix: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]
 
 
 def nearest_rotation(matrix: ArrayLike) -> Array:
-    """The proper rotations (..., 3, 3) closest in the Frobenius norm: mends rounding in files."""
-    u, _, vt = np.linalg.svd(np.asarray(matrix, float))
-    sign = np.sign(np.linalg.det(u @ vt))
-    u[..., :, 2] *= sign[..., None]
-    return np.asarray(u @ vt)
+    """The proper rotations (..., 3, 3) closest in the Frobenius norm: mends rounding in files.
+
+    U V^T of the singular vectors, the third of each completing the other two to a proper rotation (Umeyama 1991). By
+    Jacobi's rotations of the columns (Hestenes 1958), for LAPACK's last bits depend on the processor.
+    """
+    matrix = np.asarray(matrix, float)
+    left = np.array(matrix.reshape(-1, 3, 3).T, order="C")  # (column, component, n): becomes U times the lengths
+    right = np.array(np.broadcast_to(np.eye(3)[..., None], left.shape), order="C")
+    for _ in range(MAX_SWEEPS):
+        turns = [_orthogonalize(left, right, p, q) for p, q in ((0, 1), (0, 2), (1, 2))]
+        if not any(turns):
+            break
+    longest = np.argsort(-(left * left).sum(1), axis=0, kind="stable")[:2, None]
+    left, right = np.take_along_axis(left, longest, 0), np.take_along_axis(right, longest, 0)
+    u = _unit(left[0], np.eye(3)[:, :1])
+    normal = np.cross(u, np.eye(3)[:, np.abs(u).argmin(0)], axis=0)  # where the second length vanishes any will do
+    w = _unit(left[1], normal / np.sqrt((normal * normal).sum(0)))
+    pairs = zip((u, w, np.cross(u, w, axis=0)), (*right, np.cross(*right, axis=0)), strict=True)
+    first, second, third = (one[:, None] * other for one, other in pairs)
+    return np.asarray(np.moveaxis(first + second + third, -1, 0).reshape(matrix.shape))
+
+
+def _orthogonalize(left: Array, right: Array, p: int, q: int) -> bool:
+    """Turn columns p and q of both (3, 3, n), in place, until those of `left` are orthogonal; False where all are."""
+    square, other, product = ((left[i] * left[j]).sum(0) for i, j in ((p, p), (q, q), (p, q)))
+    oblique = np.abs(product) > 1e-15 * np.sqrt(square * other)
+    if not oblique.any():
+        return False
+    theta = (other - square) / (2 * np.where(oblique, product, 1.0))
+    tangent = np.where(oblique, np.copysign(1.0, theta) / (np.abs(theta) + np.sqrt(theta * theta + 1)), 0.0)
+    cosine = 1 / np.sqrt(tangent * tangent + 1)
+    sine = tangent * cosine
+    for columns in (left, right):
+        columns[p], columns[q] = cosine * columns[p] - sine * columns[q], sine * columns[p] + cosine * columns[q]
+    return True
+
+
+def _unit(vectors: Array, otherwise: Array) -> Array:
+    """Vectors (3, n) of unit length; `otherwise` (3, n) where they vanish."""
+    length = np.sqrt((vectors * vectors).sum(0))
+    return np.asarray(np.where(length == 0, otherwise, vectors / np.where(length == 0, 1.0, length)))
 
 
 def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Array:

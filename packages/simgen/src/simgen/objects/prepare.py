@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
+from evalkit.geometry.principal_axes import principal_axes
 from evalkit.meshes.read import FORMATS, FileMesh, read_file_mesh
 from evalkit.meshes.units import METERS, WORDS, check_size, decide_units
 from evalkit.objects.model import ObjectModel
@@ -133,8 +134,9 @@ def _require_body(mesh: MendedMesh, source: str) -> None:
     """Raise InputError unless the mesh spans three dimensions."""
     if len(mesh.faces) == 0:
         raise InputError(f"{source}: all its triangles are points or lines; export it again.")
-    thickness = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), compute_uv=False) / math.sqrt(len(mesh.vertices))
-    if not thickness[2] > FLAT * thickness[0]:
+    offset = mesh.vertices - mesh.vertices.mean(0)
+    spread, _ = principal_axes(np.einsum("vi,vj->ij", offset, offset))  # squares of what it spans along its axes
+    if not spread[0] > FLAT**2 * spread[2]:
         raise InputError(f"{source}: the mesh is flat; a rigid body needs thickness, so model it as a solid.")
 
 

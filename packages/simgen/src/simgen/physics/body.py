@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from evalkit.geometry import poses
 from evalkit.geometry.principal_axes import principal_axes
 
 Array = NDArray[np.float64]
+DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, d)) in (1, 3)])  # of a cube
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
@@ -21,6 +23,8 @@ class Body:
     Attributes:
         hulls: (V_i, 3) vertices of each convex part, in simulated meters about the center of mass.
         center_of_mass: (3,) in the object's frame, meters.
+        outermost: (k, 3) vertices that lie outermost in all directions: of a rod those of its ends, and none off its
+            axis, which would go far where it only turns about itself.
         radius: of the sphere around the center of mass that holds all hulls, simulated meters.
         scale: simulated meters per meter.
         thickness: of the thinnest hull, over the diameter 2 `radius`.
@@ -28,6 +32,7 @@ class Body:
 
     hulls: list[Array]
     center_of_mass: Array
+    outermost: Array
     radius: float
     scale: float
     thickness: float
@@ -39,7 +44,15 @@ class Body:
         radius = max(float(np.linalg.norm(vertices - center, axis=1).max()) for vertices, _ in parts)
         scale = simulated_diameter / (2 * radius)
         hulls = [(np.asarray(vertices, float) - center) * scale for vertices, _ in parts]
-        return cls(hulls, center, radius * scale, scale, min(map(_thickness, hulls)) / simulated_diameter)
+        vertices = np.concatenate(hulls)
+        outermost = vertices[np.unique([_along(vertices, direction).argmax() for direction in DIRECTIONS])]
+        return cls(hulls, center, outermost, radius * scale, scale, min(map(_thickness, hulls)) / simulated_diameter)
+
+
+def _along(vertices: Array, direction: Array) -> Array:
+    """How far vertices (V, 3) lie along a direction (3,): in a fixed order, without BLAS."""
+    x, y, z = vertices.T
+    return np.asarray(x * direction[0] + y * direction[1] + z * direction[2])
 
 
 def _thickness(hull: Array) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rapier3d
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from simgen.config_sections import BinSize, PhysicsConfig
 from simgen.physics.bin_shape import wall_boxes
@@ -12,6 +13,7 @@ from simgen.physics.body import Body
 from simgen.physics.world import WALL_THICKNESS, World
 
 Array = NDArray[np.float64]
+MASS = 1.0  # of an instance: in single precision contacts do not hold what weighs a hundred-thousandth of that
 FRICTION_RULE = rapier3d.CoefficientCombineRule.MULTIPLY  # as Bullet combines two surfaces'
 
 
@@ -38,11 +40,12 @@ class RapierWorld(World):
 
     def drop(self, centers: Array, quaternions: Array) -> None:
         hulls = [hull.astype(np.float32) for hull in self.body.hulls]
+        density = MASS / sum(ConvexHull(hull, qhull_options="QJ").volume for hull in self.body.hulls)
         for center, quaternion in zip(centers, quaternions, strict=True):
             builder = rapier3d.RigidBody.dynamic().position(_isometry(center, quaternion))
             builder = builder.linear_damping(self.config.linear_damping).angular_damping(self.config.angular_damping)
             colliders: list[rapier3d.Collider | rapier3d.ColliderBuilder] = [
-                self._material(rapier3d.Collider.convex_hull(hull)) for hull in hulls
+                self._material(rapier3d.Collider.convex_hull(hull)).density(density) for hull in hulls
             ]
             self._instances.append(self._world.add_body(builder, colliders))
 

@@ -13,7 +13,8 @@ from simgen.config_sections import BinSize, PhysicsConfig
 from simgen.physics.body import Body
 
 Array = NDArray[np.float64]
-THIN = 0.08  # over the diameter
+THIN = 0.08  # over the diameter: falls in shorter steps
+VERY_THIN = 0.03  # the same: rests in shorter steps too
 WALL_THICKNESS = 10.0  # in object diameters, so that nothing tunnels
 
 
@@ -79,13 +80,15 @@ class World(ABC):
 
     def rest(self, seconds: float) -> None:
         """Let simulated seconds pass for instances that only slide and creep."""
-        self.simulate(seconds, self.config.time_step, self.config.solver_iterations)
+        very_thin = self.body.thickness < VERY_THIN
+        step = self.config.thin_time_step if very_thin else self.config.time_step
+        self.simulate(seconds, step, self.config.solver_iterations)
 
     def marks(self) -> Array:
-        """Each instance's center and the ends of its axes (n, 4, 3): they move as its surface does."""
+        """Each instance's center and its outermost points (n, 1 + k, 3)."""
         centers, quaternions = self.state()
-        ends = centers[:, None] + self.body.radius * np.swapaxes(poses.from_quaternion_xyzw(quaternions), -1, -2)
-        return np.concatenate([centers[:, None], ends], 1)
+        marks = np.concatenate([np.zeros((1, 3)), self.body.outermost])
+        return poses.apply(poses.from_rotation_translation(poses.from_quaternion_xyzw(quaternions), centers), marks)
 
     def lowest(self) -> Array:
         """Height of each instance's lowest point (n,)."""

@@ -93,7 +93,7 @@ def nearest_and_farthest(job: Job) -> tuple[float, float]:
     if recorded is None or recorded.cam_from_world is None:
         raise ValueError("the job's cameras are not recorded")
     pairs = zip(recorded.cam_from_world, recorded.world_from_obj, strict=True)
-    depth = np.concatenate([job.model.centers(camera @ scene)[:, 2] for camera, scene in pairs])
+    depth = np.concatenate([job.model.centers(poses.compose(camera, scene))[:, 2] for camera, scene in pairs])
     return max(float(depth.min(initial=np.inf)) - radius, 1e-3), float(depth.max(initial=0.0)) + radius
 
 
@@ -135,10 +135,13 @@ def _farthest(
     camera: Camera, cam_from_world: Array, world_from_obj: Sequence[Array], model: ObjectModel, size: BinSize
 ) -> float:
     """Largest axial depth in meters that is to be stored: of the instances, and of what ground the image shows."""
-    instances = max(float(model.centers(cam_from_world @ scene)[:, 2].max(initial=0.0)) for scene in world_from_obj)
+    instances = max(
+        float(model.centers(poses.compose(cam_from_world, scene))[:, 2].max(initial=0.0)) for scene in world_from_obj
+    )
     pixels = [[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)]
     world_from_cam = poses.invert(cam_from_world)
-    slope = camera.unproject(pixels, np.ones(4)) @ world_from_cam[:3, :3].T  # of each corner's ray, per axial meter
+    rays = camera.unproject(pixels, np.ones(4))
+    slope = poses.compose(rays, world_from_cam[:3, :3].T)  # of each corner's ray, per axial meter
     half = ground_half_side(size)
     edge = np.array([[x, y, 0.0] for x in (-half, half) for y in (-half, half)])
     ground = float(poses.apply(cam_from_world, edge)[:, 2].max())

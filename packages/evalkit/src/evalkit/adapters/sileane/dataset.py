@@ -56,7 +56,9 @@ def read_ground_truth(
     images = []
     for path in _scene_files(folder / "gt"):
         world_from_obj, occlusion = parse_rows(load_json(path), "occlusion_rate", str(path))
-        images.append(GroundTruthImage(path.stem, camera, cam_from_world @ world_from_obj, 1.0 - occlusion))
+        images.append(
+            GroundTruthImage(path.stem, camera, poses.compose(cam_from_world, world_from_obj), 1.0 - occlusion)
+        )
     return GroundTruth(model, images, _frame(view), str(folder), share="returned")
 
 
@@ -102,7 +104,7 @@ def read_predictions(folder: Path, object_name: str | None = None, camera_params
     images = []
     for path in _scene_files(folder):
         world_from_obj, score = parse_rows(load_json(path), "score", str(path))
-        images.append(PredictionImage(path.stem, cam_from_world @ world_from_obj, score))
+        images.append(PredictionImage(path.stem, poses.compose(cam_from_world, world_from_obj), score))
     return Predictions(object_name or "", images, _frame(view), str(folder))
 
 
