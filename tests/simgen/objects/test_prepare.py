@@ -10,9 +10,12 @@ import trimesh
 
 from evalkit.atomic import sha256_of_file
 from evalkit.errors import InputError
+from evalkit.objects.symmetry import Symmetry
+from evalkit.objects.symmetry_detection import DetectedSymmetry
+from evalkit.objects.symmetry_fit import SymmetryCandidate
 from simgen.objects import prepare as meshes
 from simgen.objects.builtin import BUILTIN_OBJECTS
-from simgen.objects.prepare import describe, prepare_object
+from simgen.objects.prepare import _near_misses, describe, prepare_object
 
 BRICK = trimesh.creation.box((0.05, 0.08, 0.12))
 
@@ -120,6 +123,26 @@ def test_what_is_said_of_a_symmetry_names_its_residual(tmp_path: Path) -> None:
     assert "residual" in describe(prepare_object(brick_file(tmp_path)).symmetry)
     assert describe(prepare_object("bunny").symmetry).startswith("none (nearest: ")
     assert describe(prepare_object("bunny", symmetry="none").symmetry) == "none"
+
+
+@pytest.mark.parametrize(
+    ("missed_by", "detected", "asked", "said"),
+    [
+        (5e-4, "none", "auto", True),
+        (5e-4, "cyclic:2", "auto", True),
+        (2e-3, "none", "auto", False),
+        (5e-4, "revolution", "auto", False),
+        (5e-4, "none", "none", False),
+    ],
+    ids=["a thread", "a larger group", "a keyway", "a smaller group", "not asked"],
+)
+def test_a_symmetry_that_is_missed_by_little_is_named_with_what_to_say(
+    missed_by: float, detected: str, asked: str, said: bool
+) -> None:
+    """A bolt of 34 mm whose head has six sides."""
+    candidate = SymmetryCandidate(Symmetry.parse("cyclic:6"), 0.8 * missed_by, missed_by, 1.4, 1.4)
+    found = DetectedSymmetry(Symmetry.parse(detected), 0.0, 0.0, [candidate])
+    assert any("say --symmetry cyclic:6" in sentence for sentence in _near_misses(found, asked, 0.034)) == said
 
 
 FLAT = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]])

@@ -17,10 +17,12 @@ from evalkit.meshes.read import FORMATS, FileMesh, read_file_mesh
 from evalkit.meshes.units import METERS, WORDS, check_size, decide_units
 from evalkit.objects.model import ObjectModel
 from evalkit.objects.symmetry_detection import DetectedSymmetry, resolve_symmetry
+from evalkit.objects.symmetry_search import group_size
 from simgen.objects.builtin import BUILTIN_OBJECTS
 from simgen.objects.convex import Part, convex_parts
 from simgen.objects.mending import MendedMesh, mend
 
+LITTLE = 0.02  # of the diameter, by which a thread misses the symmetry of its screw's head
 FLAT = 1e-4  # thickness over size below which nothing can rest on or under the object
 
 
@@ -95,7 +97,13 @@ def prepare_object(
     if hidden := len(mesh.faces) - len(outside):
         warnings.append(f"{hidden} of {len(mesh.faces)} faces cannot be seen from outside and count for nothing.")
     parts, convex_warnings = convex_parts(mesh.vertices, outside)
-    warnings += [*substituted, *mesh.warnings, *convex_warnings, *_doubts(found, symmetry)]
+    warnings += [
+        *substituted,
+        *mesh.warnings,
+        *convex_warnings,
+        *_doubts(found, symmetry),
+        *_near_misses(found, symmetry, model.diameter),
+    ]
     return PreparedObject(model, parts, warnings, reason, mesh, found)
 
 
@@ -154,6 +162,24 @@ def _in_meters(
     warnings += check_size(largest_side * factor, source)
     scaled = replace(mesh, vertices=mesh.vertices * factor, volume=mesh.volume * factor**3)
     return scaled, unit, reason, warnings
+
+
+def _near_misses(found: DetectedSymmetry, asked: str, diameter: float) -> list[str]:
+    """A sentence on the largest group, larger than the one detected, that the mesh misses by very little."""
+    missed = [
+        candidate
+        for candidate in found.candidates
+        if not candidate.accepted and not candidate.only_seen_to_be_wrong and candidate.worst <= LITTLE * diameter
+    ]
+    largest = max(missed, key=lambda candidate: group_size(candidate.symmetry), default=None)
+    if asked != "auto" or largest is None or group_size(largest.symmetry) <= group_size(found.symmetry):
+        return []
+    name = largest.symmetry.name
+    off = f"{1e3 * largest.worst:.2g} mm, {largest.worst / diameter:.1%} of the diameter"
+    return [
+        f"The symmetry {name} is missed by {off}, as by a thread or a small mark; if your camera cannot see that, say "
+        f"--symmetry {name}."
+    ]
 
 
 def _doubts(found: DetectedSymmetry, asked: str) -> list[str]:
