@@ -18,6 +18,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+from cad_fittings import more_parts
 from cad_formats import WRITERS, Export
 from cad_parts import Part, all_parts
 from evalkit.errors import InputError
@@ -38,7 +39,7 @@ def main() -> None:
     folder = options.folder or Path(tempfile.mkdtemp(prefix="cad-parts-"))
     folder.mkdir(exist_ok=True)
     wrong = 0
-    for part in all_parts():
+    for part in [*all_parts(), *more_parts()]:
         if any(word in part.name for word in options.parts.split(",")):
             started = time.process_time()
             cells = [cell(part, name, folder, options.convex) for name in formats]

@@ -58,7 +58,7 @@ def row(options: argparse.Namespace, model: Path, trained: str, seed: int, teste
         predictions = model / f"on-{tested}-{kind}.json"
         run("posenet", "predict", model, options.out / f"test-{tested}", *refine, "-o", predictions)
         cells += scored(predictions, truth_of(options, tested))
-    images = json.loads((model / "metrics.jsonl").read_text().splitlines()[-1])["images"]
+    images = options.epochs * options.scenes * options.views
     return [trained, str(seed), str(images), tested, *cells]
 
 
