@@ -85,7 +85,7 @@ def nearest_rotation(matrix: ArrayLike) -> Array:
     u = _unit(left[0], np.eye(3)[:, :1])
     normal = np.cross(u, np.eye(3)[:, np.abs(u).argmin(0)], axis=0)  # where the second length vanishes any will do
     w = _unit(left[1], normal / np.sqrt((normal * normal).sum(0)))
-    pairs = zip((u, w, np.cross(u, w, axis=0)), (*right, np.cross(*right, axis=0)), strict=True)
+    pairs = zip((u, w, np.cross(u, w, axis=0)), (*right, np.cross(right[0], right[1], axis=0)), strict=True)
     first, second, third = (one[:, None] * other for one, other in pairs)
     return np.asarray(np.moveaxis(first + second + third, -1, 0).reshape(matrix.shape))
 
