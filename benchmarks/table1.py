@@ -7,7 +7,8 @@ Columns are bunny, cup, pepper and candlestick by Sym, the crowd of cups by ADD 
 Linemod and point pair features, bare and post-processed, the network trained without the offset, the network, and the
 network refined. A network learns from scenes of another seed than those it is scored on. Every cell is a file in --out:
 stopped in whatever way and started again, the command goes on with the first cell that is missing, and training where
-it was.
+it was. What is finished stays, by whatever version of the code it was made; the table names the versions. A cell that
+fails leaves the others to go on, and is tried again the next time.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,7 @@ from peer_table import predictions, seconds_an_image, spread, truth_of
 from peers.methods import METHODS
 
 TRAIN_SEED, TEST_SEED, TEST_VIEWS, TRAIN_VIEWS, RESAMPLES = 0, 1000, 2, 8, 1000
+FAILED = "failed"
 NETWORKS = ("network without offset", "network", "network, refined")
 ROWS = (*METHODS, *NETWORKS)
 PUBLISHED_ROWS = {NETWORKS[0]: WITHOUT_OFFSET, NETWORKS[1]: OURS}  # what the paper calls them
@@ -114,7 +117,7 @@ class Night:
         """The figures of one cell, computed if its file is not there."""
         file = self.out / "cells" / f"{column.title} - {row}.json".replace(" ", "_")
         if not file.exists():
-            figures = self.measured(column, row)
+            figures = self.measured(column, row) | {"version": code_version()}
             with atomic_path(file) as partial:
                 partial.write_text(json.dumps(figures))
         return dict(load_json(file))
@@ -142,24 +145,56 @@ class Night:
             if kind == "test"
             else (self.train_scenes, TRAIN_VIEWS, TRAIN_SEED)
         )
-        run("simgen", "build", "--object", column.mesh, "--preset", column.preset, "--sensor", column.sensor,
-            "--scenes", scenes, "--views", views, "--seed", seed, "-o", folder)  # fmt: skip
+        self.once(folder, "simgen", "build", "--object", column.mesh, "--preset", column.preset, "--sensor",
+                  column.sensor, "--scenes", scenes, "--views", views, "--seed", seed, "-o", folder)  # fmt: skip
         return folder
 
     def trained(self, column: Column, offset: bool) -> Path:
         """A run's folder, trained as far as it was not."""
         folder = self.out / column.data / ("with-offset" if offset else "without-offset")
-        run("posenet", "fit", self.shards(column, "train"), "--preset", self.network, "--minutes", self.minutes,
-            "--offset" if offset else "--no-offset", "-o", folder)  # fmt: skip
+        self.once(folder, "posenet", "fit", self.shards(column, "train"), "--preset", self.network, "--minutes",
+                  self.minutes, "--offset" if offset else "--no-offset", "-o", folder)  # fmt: skip
         return folder
 
+    def once(self, folder: Path, *words: object) -> None:
+        """Run a command that fills `folder`, unless it has done so: another version of the code would begin anew."""
+        done = self.out / "done" / f"{folder.parent.name} {folder.name}".replace(" ", "_")
+        if not done.exists():
+            run(*map(str, words))
+            with atomic_path(done) as partial:
+                partial.write_text(code_version())
+
     def table(self, columns: list[Column], rows: list[str]) -> Iterator[list[str]]:
+        """The lines; a cell whose commands fail is said to have failed."""
         for row in rows:
             line = [row]
             for column in columns:
-                line.append(shown(self.cell(column, row), column.published(row)))
+                try:
+                    line.append(shown(self.cell(column, row), column.published(row)))
+                except (InputError, OSError, subprocess.CalledProcessError) as error:
+                    print(
+                        f"Error: {describe_os_error(error) if isinstance(error, OSError) else error}", file=sys.stderr
+                    )
+                    line.append(FAILED)
                 print(f"{column.title} | {row} | {line[-1]}", flush=True)
             yield line
+
+    def versions(self) -> list[str]:
+        """Of the code that measured the cells."""
+        return sorted({load_json(file).get("version", "unknown") for file in (self.out / "cells").glob("*.json")})
+
+
+def code_version() -> str:
+    """The commit, marked where files differ from it, or without git the release."""
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return version("binpose-evalkit")
+
+
+def sentence(error: Exception) -> str:
+    return describe_os_error(error) if isinstance(error, OSError) else str(error)
 
 
 def shown(cell: dict[str, Any], published: str) -> str:
@@ -186,17 +221,19 @@ def main(words: list[str] | None = None) -> None:
     rows = [row for row in ROWS if row in options.rows]
     lines = list(night.table(columns, rows))
     images = f"{TEST_VIEWS * options.test_scenes} images a cell, networks trained {options.minutes:g} minutes."
-    text = f"{table(['method', *(column.title for column in columns)], lines)}\n\n{images} {NOTES}\n"
+    made = f"Measured by the code of {', '.join(night.versions())}."
+    text = f"{table(['method', *(column.title for column in columns)], lines)}\n\n{images} {made}\n{NOTES}\n"
     with atomic_path(options.out / "table1.md") as partial:
         partial.write_text(text)
     print(f"\n{text}\nWritten to {options.out / 'table1.md'}.")
+    missing = sum(line.count(FAILED) for line in lines)
+    if missing:
+        raise InputError(f"{missing} cells failed, for the reasons above; run the same command again to try them.")
 
 
 if __name__ == "__main__":
     try:
         main()
-    except subprocess.CalledProcessError as error:
-        sys.exit(error.returncode if error.returncode > 0 else EXIT_BAD_INPUT)
     except (InputError, OSError) as error:
-        print(f"Error: {describe_os_error(error) if isinstance(error, OSError) else error}", file=sys.stderr)
+        print(f"Error: {sentence(error)}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
