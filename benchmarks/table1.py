@@ -1,6 +1,6 @@
 """The paper's Table 1 on our own data of its objects: classical peers and the network, one cell after the other.
 
-    python benchmarks/table1.py                         # a night on 2 CPU cores
+    python benchmarks/table1.py                         # 13 hours or so on 2 CPU cores
     python benchmarks/table1.py --test-scenes 1 --train-scenes 4 --network debug --minutes 0.1   # minutes, to try it
 
 Columns are bunny, cup, pepper and candlestick by Sym, the crowd of cups by ADD and the domestic cup by F1; rows are

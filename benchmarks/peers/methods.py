@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from evalkit.datasets.documents import PredictionImage, Predictions
 from evalkit.datasets.scene import View
 from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.errors import InputError
+from evalkit.geometry import poses
+from evalkit.objects.model import ObjectModel
 from peers import contrib, linemod, ppf
 from peers.clustering import clustered
 from peers.post_processing import PostProcessing
@@ -31,6 +34,23 @@ class Hypotheses:
     strength: Array  # (n,) votes, or how well a template matches
     seconds: float  # from the depth image to here
 
+    def of(self, rows: NDArray[np.bool_]) -> Hypotheses:
+        return Hypotheses(self.cam_from_obj[rows], self.strength[rows], self.seconds)
+
+
+def in_bin(cam_from_obj: Array, view: View, model: ObjectModel, config: dict[str, Any]) -> NDArray[np.bool_]:
+    """Which poses (n, 4, 4) have their center in the bin; all of them where the dataset's scenes have no walls.
+
+    Whoever runs such a method on a bin tells it where the bin stands, or walls and the floor around them win the votes.
+    """
+    bin_size = config.get("bin", {})
+    if not bin_size.get("walls"):
+        return np.ones(len(cam_from_obj), bool)
+    center = poses.apply(poses.invert(view.cam_from_world), model.centers(cam_from_obj))
+    largest = 1 + config.get("pile", {}).get("bin_jitter", 0.0)  # a scene's bin may be larger by this share
+    half = largest * np.array([bin_size["width"], bin_size["depth"]]) / 2
+    return (np.abs(center[:, :2]) <= half).all(1) & (center[:, 2] >= 0)
+
 
 class Peer:
     """Finds one object on frames of `dataset`; what it finds is kept in the folder `work`.
@@ -42,7 +62,7 @@ class Peer:
     script: str
 
     def __init__(self, dataset: ShardDataset, frames: Sequence[int], work: Path) -> None:
-        self.model, self.camera = dataset.header.object, dataset.header.camera
+        self.model, self.camera, self.config = dataset.header.object, dataset.header.camera, dataset.header.config
         if self.model.vertices is None or self.model.faces is None:
             raise InputError(f"{dataset.paths[0]}: its object has no mesh, which the peers are made of.")
         self.views = [dataset[frame] for frame in frames]
@@ -77,13 +97,14 @@ class Peer:
         process = PostProcessing(self.model).process
         images = []
         for view, found in zip(self.views, self.search(), strict=True):
+            found = found.of(in_bin(found.cam_from_obj, view, self.model, self.config))
             started = time.perf_counter()
             if post_processing:
-                poses, score = process(view.depth, self.camera, found.cam_from_obj, found.strength)
+                kept, score = process(view.depth, self.camera, found.cam_from_obj, found.strength)
             else:
-                poses, score = self.detect(found)
+                kept, score = self.detect(found)
             seconds = found.seconds + time.perf_counter() - started
-            images.append(PredictionImage(view.image_id, poses, score, seconds))
+            images.append(PredictionImage(view.image_id, kept, score, seconds))
         return Predictions({"name": self.model.name, "diameter": self.model.diameter}, images)
 
 
@@ -97,9 +118,9 @@ class PointPairs(Peer):
 
     def read(self, view: View) -> Hypotheses:
         with np.load(self.found(view), allow_pickle=False) as found:
-            poses, votes, seconds = found["poses"], found["strength"], float(found["seconds"][0])
-        poses[:, :3, 3] /= ppf.MILLIMETERS
-        return Hypotheses(poses, votes, seconds)
+            cam_from_obj, votes, seconds = found["poses"], found["strength"], float(found["seconds"][0])
+        cam_from_obj[:, :3, 3] /= ppf.MILLIMETERS
+        return Hypotheses(cam_from_obj, votes, seconds)
 
     def detect(self, found: Hypotheses) -> tuple[Array, Array]:
         return clustered(found.cam_from_obj, found.strength, self.model)
@@ -134,11 +155,12 @@ class Linemod(Peer):
             template, corner, similarity = found["template"], found["corner"], found["strength"]
             seconds = float(found["seconds"][0])
         started = time.perf_counter()
-        poses, agreement = self.templates.poses(self.surface[view.image_id], self.coarse, template, corner)
+        found_poses, agreement = self.templates.poses(self.surface[view.image_id], self.coarse, template, corner)
         strength = similarity / 100 * agreement
-        kept = linemod.spread_out(poses, strength, self.model)
+        inside = np.flatnonzero(in_bin(found_poses, view, self.model, self.config))
+        kept = inside[linemod.spread_out(found_poses[inside], strength[inside], self.model)]
         seconds += self.seconds + time.perf_counter() - started
-        return Hypotheses(poses[kept], strength[kept], seconds)
+        return Hypotheses(found_poses[kept], strength[kept], seconds)
 
     def detect(self, found: Hypotheses) -> tuple[Array, Array]:
         return linemod.detections(found.cam_from_obj, found.strength, self.model)

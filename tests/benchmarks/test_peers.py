@@ -176,3 +176,14 @@ def test_matches_at_one_place_do_not_crowd_out_those_elsewhere(model):
     strength = np.linspace(1.0, 0.5, 101)
     kept = linemod.spread_out(linemod.centered_at(model, rotation, center), strength, model)
     assert kept.tolist() == [*range(linemod.PLACE_MOST), 100]
+
+
+def test_a_pose_beyond_the_walls_or_below_the_floor_of_a_bin_counts_for_none(view, model):
+    config = {"bin": {"width": 0.3, "depth": 0.2, "height": 0.1, "walls": True}}
+    centers = np.array([[0.0, 0, 0.02], [0.14, 0.09, 0.02], [0.16, 0, 0.02], [0, 0.11, 0.02], [0, 0, -0.01]])
+    world_from_obj = poses.from_rotation_translation(np.eye(3), centers - model.centroid)
+    found = view.cam_from_world @ world_from_obj
+    methods = part("methods")
+    assert methods.in_bin(found, view, model, config).tolist() == [True, True, False, False, False]
+    config["bin"]["walls"] = False
+    assert methods.in_bin(found, view, model, config).all() and methods.in_bin(found, view, model, {}).all()
