@@ -296,6 +296,7 @@ SEVERAL = {
     "orbbec.ini": ORBBEC.partition("[DepthDistort]")[0],
     "flat.txt": "colorWidth = 1920\ncolorHeight = 1080\nfx_color = 1400\nfy_color = 1400\nmx_color = 960\n"
     "my_color = 540\n" + READ["scannet.txt"],
+    "sizes as names.json": json.dumps({"1920x1080": {k: COLOR[k] for k in NAMED}, "640x480 depth": NAMED}),
     "list.json": json.dumps([{"name": "color"} | COLOR, {"name": "depth"} | SIZE | NAMED]),
     "cameras.txt": "1 PINHOLE 1920 1080 1400 1400 960 540\n2 PINHOLE 640 480 600 601 321 240.75\n",
 }  # fmt: skip
@@ -310,7 +311,8 @@ def test_of_several_cameras_the_one_that_is_named_or_that_has_the_images_size_is
         read_camera(path)
     found = read_camera(path, image_size=lambda: (640, 480))
     assert found.camera == CAMERA and "is taken, of" in found.remarks[0]
-    assert read_camera(f"{path}#{'2' if name == 'cameras.txt' else 'Depth'}").camera == CAMERA
+    selected = f"{path}#{'2' if name == 'cameras.txt' else 'Depth'}"
+    assert read_camera(selected, image_size=lambda: (640, 480)).camera == CAMERA
     with pytest.raises(InputError, match="none of its cameras"):
         read_camera(path, image_size=lambda: (100, 100))
     with pytest.raises(InputError, match="holds no camera 'thermal'"):
@@ -321,6 +323,11 @@ STEREO = {"M1": ROWS, "D1": [[0.0] * 5], "M2": [[610.0, 0, 320], [0, 610.0, 240]
 REFUSED = {
     "a stereo pair": (json.dumps(SIZE | STEREO), "several cameras"),
     "cameras that differ": (json.dumps({"frames": [SIZE | NAMED, SIZE | NAMED | {"fx": 610.0}]}), "several cameras"),
+    "another order": (json.dumps(SIZE | {"intrinsics": [600, 320, 601, 240]}), "mend their order"),
+    "a camera and another of an image": (
+        json.dumps(NERF | {"frames": [{"fl_x": 700.0, "fl_y": 700.0, "cx": 321, "cy": 240, "w": 640, "h": 480}]}),
+        "several cameras",
+    ),
     "azure kinect": (json.dumps({"CalibrationInformation": {"Cameras": []}}), "factory calibration"),
     "zed": ("[LEFT_CAM_HD]\nfx=700\nfy=700\ncx=640\ncy=360\n[RIGHT_CAM_HD]\nfx=701\n", "rectified camera"),
     "realsense settings": (json.dumps({"param-depthunits": "1000"}), "rs-enumerate-devices -c"),
@@ -337,6 +344,7 @@ REFUSED = {
     "  distortion_model: equi\n  distortion_coeffs: [0, 0, 0, 0]\n  resolution: [640, 480]\n", "fisheye"),
     "a pose": ("1 0 0 0.5\n0 1 0 0.1\n0 0 1 0.7\n0 0 0 1\n", "row by row|make no sense|no camera"),
     "a rotation": (json.dumps({"rotation": np.eye(3).tolist(), "translation": [0, 0, 1]}), "holds no camera"),
+    "a broken archive": (b"PK\x03\x04abc", "not a"),
     "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00", "not a"),
 }  # fmt: skip
 

@@ -17,6 +17,7 @@ STREAMS = ("depth", "color", "colour", "rgb", "infrared", "ir", "left", "right",
 PAIRED = {"projection", "matrix", "distortion", "rectification"}  # what stereo calibrations have for each of 1 and 2
 RECTIFIED = re.compile(r"rectified\.(\d+)\.(\w+)")  # RealSense's calibration, the depth stream at each resolution
 LABELS = ("name", "camera_name", "id", "Id", "serial", "label", "SensorType")
+OUTER = "outer"  # the name of a camera that the document itself is
 MOST_LISTED = 8
 Named = tuple[str, Fields]
 ImageSize = Callable[[], tuple[int, int]]  # width and height, looked up only where they are needed
@@ -43,14 +44,16 @@ def chosen_camera(document: Any, selector: str, image_size: ImageSize | None, wh
     found = _distinct(list(_cameras(document, "", where)))
     if not found:
         raise InputError(f"{where}: holds no camera; {FORMATS}.")
-    named = [camera for camera in found if camera[0].lower() == selector.lower()]
+    named = [camera for camera in found if selector and camera[0].lower() == selector.lower()]
     named = named or [camera for camera in found if selector.lower() in camera[0].lower()]
     if not named:
         raise InputError(f"{where}: holds no camera '{selector}', but {_listed(found)}.")
     fitting = named
     if len(named) > 1 and image_size is not None:
         size = image_size()
-        fitting = [camera for camera in named if _size_of(camera[1], where) == size]
+        sizes = [_size_of(camera, where) for camera in named]
+        fitting = [camera for camera, its in zip(named, sizes, strict=True) if its == size]
+        fitting = fitting or [camera for camera, its in zip(named, sizes, strict=True) if its is None]
         if not fitting:
             raise InputError(
                 f"{where}: none of its cameras ({_listed(named)}) is of the images' {size[0]} x {size[1]} pixels; give "
@@ -78,7 +81,7 @@ def _cameras(node: Any, name: str, where: str) -> Iterator[Named]:
     node = _by_stream(node) if isinstance(node, dict) else node
     fields = canonical(node, where) if isinstance(node, dict) else {}
     if MAIN & set(fields):
-        yield name, dict(fields)
+        yield name or OUTER, dict(fields)
         fields = {}
     for key, child in _inner(node, where):
         for label, camera in _cameras(child, f"{name}/{key}".lstrip("/"), where):
@@ -161,19 +164,24 @@ def _same(fields: Fields, other: Fields) -> bool:
     return fields.keys() == other.keys() and all(agree(value, other[name]) for name, value in fields.items())
 
 
-def _size_of(fields: Fields, where: str) -> tuple[Any, Any] | None:
+def _size_of(camera: Named, where: str) -> tuple[Any, Any] | None:
+    """Width and height by a camera's fields or, where these do not say them, by its name, as in 640x480."""
+    name, fields = camera
     try:
         full = expanded(dict(fields), where)
     except InputError:
         return None
-    return (full["width"], full["height"]) if {"width", "height"} <= set(full) else None
+    if {"width", "height"} <= set(full):
+        return full["width"], full["height"]
+    said = re.search(r"(\d{2,5})\s?[x*]\s?(\d{2,5})", name)
+    return (int(said[1]), int(said[2])) if said else None
 
 
 def _listed(cameras: list[Named]) -> str:
     names = []
-    for name, fields in cameras[:MOST_LISTED]:
-        size = _size_of(fields, "")
+    for camera in cameras[:MOST_LISTED]:
+        name, size = camera[0], _size_of(camera, "")
         of = f" of {size[0]} x {size[1]}" if size and f"{size[0]}x{size[1]}" not in name else ""
-        names.append(f"'{name or 'the outer one'}'{of}")
+        names.append(f"'{name}'{of}")
     more = len(cameras) - MOST_LISTED
     return ", ".join(names) + (f" and {more} more" if more > 0 else "")

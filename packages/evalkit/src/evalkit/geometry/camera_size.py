@@ -168,13 +168,20 @@ def require_fitting(matrix: Matrix, size: tuple[int, int], taken: bool, fields: 
             f"{where}: its principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) fits images of {height} x {width} "
             f"better than its size [{width}, {height}], where height may stand first; write width and height by name."
         )
+    unequal = max(focal) > MOST_UNEQUAL * min(focal)
+    if unequal and off > FARTHEST_OFF:
+        raise InputError(
+            f"{where}: focal lengths of {matrix[0, 0]:g} and {matrix[1, 1]:g} pixels and a principal point at "
+            f"({matrix[0, 2]:g}, {matrix[1, 2]:g}) make no sense for {width} x {height}; mend their order, fx, fy, cx, "
+            "cy."
+        )
     remarks = []
     if off > FARTHEST_OFF and "roi" not in fields:
         remarks.append(
             f"its principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) is far from the middle of {width} x {height} "
             "pixels; unless the images are a part of larger ones, it is of another size."
         )
-    if max(focal) > MOST_UNEQUAL * min(focal):
+    if unequal:
         remarks.append(
             f"its focal lengths differ much, {matrix[0, 0]:g} and {matrix[1, 1]:g} pixels; check their order."
         )

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -162,10 +163,10 @@ def _element(element: ElementTree.Element) -> Any:
 
 def _arrays(raw: bytes) -> Any:
     """NPY's matrix, or the arrays of numbers of an NPZ, as OpenCV's tutorial saves them."""
-    loaded = np.load(io.BytesIO(raw), allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        return loaded.tolist()
     try:
+        loaded = np.load(io.BytesIO(raw), allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return loaded.tolist()
         return {name: loaded[name].tolist() for name in loaded.files}
-    except (OSError, KeyError) as error:  # a zip archive of something else
+    except (OSError, KeyError, AttributeError, BadZipFile) as error:  # damaged, or an archive of something else
         raise ValueError(error) from None
