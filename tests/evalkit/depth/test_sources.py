@@ -202,3 +202,22 @@ def test_pictures_alone_are_refused(tmp_path: Path) -> None:
     source = open_source(tmp_path / "frames", write_camera(tmp_path), 1e-4)
     with pytest.raises(InputError, match=r"color\.png"):
         source.read(0)
+
+
+def test_what_is_hidden_or_not_called_depth_beside_what_is_is_left_out(tmp_path: Path) -> None:
+    depth = np.full((CAMERA.height, CAMERA.width), 700, np.uint16)
+    for name in ("a_depth.png", "a_ir.png"):
+        cv2.imwrite(str(tmp_path / name), depth)
+    (tmp_path / "._a_depth.png").write_bytes(b"macOS")
+    source = open_source(tmp_path, write_camera(tmp_path), 0.001)
+    assert source.names == ["a_depth"] and "left out" in source.remarks[0] and "a_ir.png" in source.remarks[0]
+
+
+def test_a_folder_of_what_is_not_read_says_what_to_give(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "a.raw").write_bytes(bytes(64))
+    with pytest.raises(InputError, match="raw bytes say neither size nor type"):
+        open_source(tmp_path / "frames", write_camera(tmp_path), 0.001)
+    (tmp_path / "frames" / "depth").mkdir()
+    with pytest.raises(InputError, match=r"give the folder in it, .*depth"):
+        open_source(tmp_path / "frames", write_camera(tmp_path), 0.001)

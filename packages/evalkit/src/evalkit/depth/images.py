@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.depth import point_cloud
-from evalkit.depth.exr import read_exr
-from evalkit.depth.no_return import without_code
+from evalkit.depth import point_cloud, stored
+from evalkit.depth.no_return import lone_value, without_code
+from evalkit.depth.stored import read_values
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.geometry.lens import Lens
 
 log = logging.getLogger(__name__)
-SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *point_cloud.SUFFIXES)
-KINDS = "a 16-bit PNG, a TIFF, NPY or EXR file, or an organized point cloud (PLY, PCD)"
+SUFFIXES = (*stored.SUFFIXES, *point_cloud.SUFFIXES)
 FARTHEST = 50.0  # meters; what is farther at the median is in another unit
 TURNS = (0, 90, 180, 270)
 
@@ -69,7 +66,7 @@ class Reading:
             InputError: the file cannot be used.
         """
         is_cloud = path.suffix.lower() in point_cloud.SUFFIXES
-        height, width = (point_cloud.read_grid(path) if is_cloud else _read_values(path)).shape[:2]
+        height, width = (point_cloud.read_grid(path) if is_cloud else read_values(path)).shape[:2]
         return (width, height) if self.turned % 180 == 0 else (height, width)
 
     def _as_taken_by(self, camera: Camera, depth: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
@@ -91,7 +88,7 @@ class Reading:
 def read_depth(
     path: Path | str, depth_unit: float | None, no_return: float | None = None, integer_unit: float | None = None
 ) -> NDArray[np.float32]:
-    """A depth image (height, width) in meters from a 16-bit PNG, a TIFF, an NPY or an EXR file; 0 = no return.
+    """A depth image (height, width) in meters from a file of `evalkit.depth.stored`'s kinds; 0 = no return.
 
     `depth_unit` is the meters that one step of the file's values stands for; integer images need it, floating-point
     ones are meters without it; `integer_unit` stands in for it with integers only. `no_return` is the stored value that
@@ -102,20 +99,29 @@ def read_depth(
             its numbers cannot be meters.
     """
     path = Path(path)
-    values = _read_values(path)
+    values = read_values(path)
     if values.dtype.kind != "f":
         depth_unit = integer_unit if depth_unit is None else depth_unit
     if depth_unit is None and values.dtype.kind != "f":
         raise InputError(f"{path}: holds whole numbers; say what one step is in meters, e.g. --depth-unit 0.001.")
+    if (values < 0).any() and not (values > 0).any():
+        raise InputError(f"{path}: its depths are all negative, as along OpenGL's axis; save them with the other sign.")
     values, code = without_code(values, no_return)
-    if code is not None and no_return is None:
-        _say_code(code, str(path.parent))
+    if no_return is None:
+        _remark(code, lone_value(values), str(path.parent))
     return _in_meters(values, depth_unit, path)
 
 
 @lru_cache(maxsize=256)  # once a folder
-def _say_code(code: float, folder: str) -> None:
-    log.info("%s: the value %g counts as no return; where it is none, say --no-return 0.", folder, code)
+def _remark(code: float | None, suspect: float | None, folder: str) -> None:
+    """Say what counts as no return, and what may."""
+    if code is not None:
+        log.info("%s: the value %g counts as no return; where it is none, say --no-return 0.", folder, code)
+    elif suspect is not None:
+        log.info(
+            "%s: the value %g stands in many pixels and far beyond all others; if it means no return, say "
+            "--no-return %g.", folder, suspect, suspect,
+        )  # fmt: skip
 
 
 def _in_meters(values: NDArray[Any], depth_unit: float | None, path: Path) -> NDArray[np.float32]:
@@ -124,6 +130,10 @@ def _in_meters(values: NDArray[Any], depth_unit: float | None, path: Path) -> ND
         depth = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.maximum(depth, 0.0) * np.float32(1.0 if depth_unit is None else depth_unit)
     median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
+    if median == 0.0:
+        log.warning("%s: holds no return at all.", path)
+    elif depth_unit is None and depth.max() == 1.0:
+        log.warning("%s: its values end at exactly 1, as of an image stretched for display; depth is in meters.", path)
     if depth_unit is None and median > FARTHEST:
         raise InputError(
             f"{path}: its depths ({median:.4g} at the median) cannot be meters; say the unit, for millimeters "
@@ -136,36 +146,3 @@ def _cosines(camera: Camera) -> NDArray[np.float32]:
     """Axial depth over distance along the ray, for every pixel (height, width)."""
     rays = camera.point_map(np.ones((camera.height, camera.width)))
     return (1.0 / np.linalg.norm(rays, axis=-1)).astype(np.float32)
-
-
-def _read_values(path: Path) -> NDArray[Any]:
-    """The numbers of a one-channel image (height, width) as they are stored."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such depth image; check the path.")
-    values = _LOADERS.get(path.suffix.lower(), _load_image)(path)
-    if values is None:
-        raise InputError(f"{path}: not a readable image; give {KINDS}.")
-    if values.ndim == 3 and values.shape[2] == 1:
-        values = values[:, :, 0]
-    if values.ndim != 2 or values.size == 0:
-        raise InputError(f"{path}: has the shape {values.shape}, and a depth image has one channel (height, width).")
-    if values.dtype == np.uint8:
-        raise InputError(f"{path}: an 8-bit image holds no metric depth; save depth as a 16-bit PNG, TIFF or NPY.")
-    if values.dtype.kind not in "uif":
-        raise InputError(f"{path}: holds values of type {values.dtype}, and depth is a number.")
-    return values
-
-
-def _load_image(path: Path) -> NDArray[Any] | None:
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-
-
-def _load_npy(path: Path) -> NDArray[Any] | None:
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{path}: not a readable NPY file of numbers ({error}).") from None
-    return values if isinstance(values, np.ndarray) else None
-
-
-_LOADERS: dict[str, Callable[[Path], NDArray[Any] | None]] = {".npy": _load_npy, ".exr": read_exr}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPOTS = 16  # pixels; a value in fewer may be a stray measurement
+LEAST_SHARE = 0.005  # of the pixels, from which on a lone value that is no known code is worth a remark
 FAR = 2.0  # times the highest other value, from where on a code lies apart from what was measured
 HIGHEST_16 = 65535
 FULL_SCALES = tuple(2**bits - 1 for bits in range(11, 33))  # of sensors with so many bits
@@ -31,6 +32,17 @@ def without_code(values: NDArray[Any], no_return: float | None = None) -> tuple[
     if code is None:
         return values, None
     return _emptied(values, values >= code), code
+
+
+def lone_value(values: NDArray[Any]) -> float | None:
+    """The highest value, where it is frequent and far beyond all others: a sensor's code, or a flat ground.
+
+    What :func:`without_code` did not recognize; the image alone does not tell which it is.
+    """
+    measured = values[np.isfinite(values) & (values > 0)]
+    highest = measured.max(initial=0)
+    frequent = measured.size > 0 and (measured == highest).sum() >= LEAST_SHARE * values.size
+    return float(highest) if frequent and _stands_apart(measured, highest) and (measured < highest).any() else None
 
 
 def _emptied(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evalkit.adapters.bop import dataset as bop
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets.shard_folder import DATASET_FILE, ShardDataset
-from evalkit.depth import point_cloud
+from evalkit.depth import point_cloud, stored
 from evalkit.depth.clean import clean_depth
 from evalkit.depth.images import SUFFIXES, Reading
 from evalkit.errors import InputError
@@ -23,7 +23,8 @@ from evalkit.image_file import is_picture
 from evalkit.objects.model import ObjectModel
 
 SOURCES = (
-    "a folder of shards, a depth image or a folder of them (PNG, TIFF, NPY, EXR, organized PLY or PCD) with --camera, "
+    "a folder of shards, a depth image or a folder of them (PNG, PGM, TIFF, NPY, NPZ, EXR, organized PLY or "
+    "PCD) with --camera, "
     "or a scene or split of a BOP dataset, or a folder of the Siléane dataset"
 )
 
@@ -233,12 +234,14 @@ def _is_shards(path: Path) -> bool:
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     """The depth images of a folder, and a remark on what else is there: color images, masks, a part's mesh."""
-    every = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    listed = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
+    every = [file for file in listed if file.suffix.lower() in SUFFIXES]
     if not every:
-        raise InputError(f"{folder}: holds neither shards nor depth images; give {SOURCES}.")
+        raise InputError(f"{folder}: holds neither shards nor depth images; {_instead(folder, listed)}.")
     files = [file for file in every if not is_picture(file)]
     images = [file for file in files if file.suffix.lower() not in point_cloud.SUFFIXES]
-    files = images or files or every
+    named = [file for file in images if stored.DEPTH_NAME.search(file.stem)]
+    files = named or images or files or every
     by_name = {file.stem: file for file in files}
     twin = next((file for file in files if by_name[file.stem] != file), None)
     if twin is not None:
@@ -249,3 +252,14 @@ def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     more = f" and {len(others) - 1} more" if len(others) > 1 else ""
     count = "one depth image is" if len(files) == 1 else f"{len(files)} depth images are"
     return files, [f"{folder}: {count} read; left out is what holds none, {others[0]}{more}."]
+
+
+def _instead(folder: Path, files: list[Path]) -> str:
+    """What to give in place of a folder without depth images."""
+    inner = next((f for f in sorted(folder.iterdir()) if f.is_dir() and stored.DEPTH_NAME.search(f.name)), None)
+    if inner is not None:
+        return f"give the folder in it, {inner}"
+    useless = next((file for file in files if file.suffix.lower() in stored.USELESS), None)
+    if useless is not None:
+        return f"of {useless.name}, {stored.USELESS[useless.suffix.lower()]}: save depth as {stored.KINDS}"
+    return f"give {SOURCES}"
