@@ -20,8 +20,9 @@ from evalkit.datasets.shard_folder import ShardDataset
 from evalkit.objects.model import ObjectModel
 from posenet.prediction.predictor import Predictor
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED
+from posenet.refinement.fits import Finalists
 from posenet.refinement.judge import FORMAT, Judge, Regression
-from posenet.refinement.refiner import Finalists, Fitting, Refiner
+from posenet.refinement.refiner import Fitting, Refiner
 from simulated_hypotheses import Hypotheses, simulated
 
 Array = NDArray[np.float64]

@@ -1,5 +1,7 @@
 """Two parts in one bin, two models on each image: does a model take the other part for its own?
 
+Both apart, and together, so that poses of both compete for what the image shows (`posenet predict --also`).
+
     python benchmarks/kitting.py gear.stl cup.stl --models gear.pt cup.pt
     python benchmarks/kitting.py gear.stl cup.stl --models gear.pt cup.pt --scenes-files gears.h5 cups.h5
 
@@ -49,14 +51,33 @@ def main() -> None:
         test = options.out / f"test-{part.stem}"
         scenes = None if options.scenes_files is None else options.scenes_files[number]
         build(part, other, scenes, SEEDS[number], options, test)
-        for turn, model in enumerate(options.models):
-            preds = options.out / f"{model.stem}-on-{part.stem}.json"
-            run("posenet", "predict", model, test, "--refine", "-o", preds)
-            rows.append(
-                [f"{part.stem}, {other.stem} among it", model.stem, *judged(test, preds, model, turn == number)]
-            )
-    heads = ["bin of", "model", "images", f"poses >= {MIN_SCORE}", "right", "on the other part", "highest score there"]
+        name, sets = f"{part.stem}, {other.stem} among it", predicted(test, part, options)
+        for how, files in sets.items():
+            for turn, (model, preds) in enumerate(zip(options.models, files, strict=True)):
+                rows.append([name, model.stem, how, *judged(test, preds, model, turn == number)])
+    heads = [
+        "bin of",
+        "model",
+        "models",
+        "images",
+        f"poses >= {MIN_SCORE}",
+        "right",
+        "on the other part",
+        "highest score there",
+    ]
     print(table(heads, rows))
+
+
+def predicted(test: Path, part: Path, options: argparse.Namespace) -> dict[str, list[Path]]:
+    """A preds.json of each model, apart and together."""
+    apart = [options.out / f"{model.stem}-on-{part.stem}.json" for model in options.models]
+    for model, preds in zip(options.models, apart, strict=True):
+        run("posenet", "predict", model, test, "--refine", "-o", preds)
+    together = options.out / f"together-on-{part.stem}.json"
+    first, second = options.models
+    run("posenet", "predict", first, test, "--also", second, "-o", together)
+    beside = next(file for file in options.out.glob(f"{together.stem}-*.json"))
+    return {"apart": apart, "together": [together, beside]}
 
 
 def build(part: Path, other: Path, scenes: Path | None, seed: int, options: argparse.Namespace, test: Path) -> None:

@@ -59,8 +59,9 @@ class PostProcessing:
         fitted, score = (np.stack(parts)[best, row] for parts in zip(*tried, strict=True))
         order = np.argsort(-score, kind="stable")
         explained = explained_before(
-            fitted, order, self.points, self.normals, depth, intrinsics, tolerance, self.spacing
-        )
+            fitted, order, np.zeros(len(order), np.int64), self.points[None], self.normals[None], depth, intrinsics,
+            np.array([tolerance]), np.array([self.spacing]),
+        )  # fmt: skip
         kept = order[explained[order] <= ALREADY_EXPLAINED]
         return fitted[kept], score[kept]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -215,6 +216,34 @@ def test_an_unknown_camera_field_is_named(tmp_path: Path) -> None:
         Camera.load(path)
 
 
+def test_parts_in_one_bin_are_predicted_together_and_each_surface_is_one_parts(
+    run_folder: Path, debug_shards: Path, tmp_path: Path
+) -> None:
+    """The twin of a part, named second, finds nothing that the part has not explained."""
+    trained = load_model(run_folder)
+    trained.network.model = replace(trained.network.model, name="its twin")
+    save_model(tmp_path / "twin.pt", trained.network, trained.record)
+    words = ["predict", run_folder, debug_shards, "--max-images", "2", "--device", "cpu", "-o"]
+    for more in (["alone.json", "--refine"], ["both.json", "--also", tmp_path / "twin.pt"]):
+        done = CliRunner().invoke(main, [str(word) for word in [*words, tmp_path / more[0], *more[1:]]])
+        assert done.exit_code == 0, done.output
+    alone, both, twin = (read_predictions(tmp_path / f"{n}.json") for n in ("alone", "both", "both-its_twin"))
+    assert twin.object_name == "its twin"
+    for one, first, second in zip(alone.images, both.images, twin.images, strict=True):
+        np.testing.assert_allclose(first.cam_from_obj, one.cam_from_obj)
+        assert len(one.score) > 0 and len(second.score) == 0
+
+
+@pytest.mark.parametrize("more", [["--also", "{run}"], ["--also", "{run}", "--no-refine"], ["--also", "nowhere"]])
+def test_models_that_cannot_compete_are_refused(
+    more: list[str], run_folder: Path, debug_shards: Path, tmp_path: Path
+) -> None:
+    words = [word.replace("{run}", str(run_folder)) for word in more]
+    out = ["-o", str(tmp_path / "preds.json")]
+    done = CliRunner().invoke(main, ["predict", str(run_folder), str(debug_shards), *words, *out])
+    assert done.exit_code == 2 and done.output.count("Error") == 1 and not list(tmp_path.iterdir())
+
+
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
     debug_shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,7 +253,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
     def never(*_: object) -> None:
         raise AssertionError("predicted all the same")
 
-    monkeypatch.setattr(Predictor, "predict_batch", never)
+    monkeypatch.setattr("posenet.commands.predict.predict_together", never)
     file = tmp_path / "file"
     file.write_text("not a folder")
     for words in (["-o", file / "preds.json"], ["-o", tmp_path / "preds.json", "--picture", file / "a.png"]):

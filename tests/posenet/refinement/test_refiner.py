@@ -10,11 +10,13 @@ from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.refinement import refiner as refine
+from posenet.refinement.competition import settled
 from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, FOOTPRINT, depth_evidence, explained_before
+from posenet.refinement.fits import Fits
 from posenet.refinement.icp import DAMPING, LEAST_NORMAL_COSINE, icp
 from posenet.refinement.judge import FORMAT, Judge, Regression, probability
 from posenet.refinement.observed import observed
-from posenet.refinement.refiner import Fits, Fitting, Refiner
+from posenet.refinement.refiner import Fitting, Refiner
 
 CAMERA = Camera(160, 120, 180.0, 180.0, 79.5, 59.5)
 FLOOR = 0.62
@@ -151,7 +153,10 @@ def test_a_surface_is_explained_however_many_pixels_lie_between_two_points(
 def shares(refiner: Refiner, some: np.ndarray, depth: np.ndarray) -> np.ndarray:
     intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
     tolerance, order = refine.TOLERANCE * refiner.model.diameter, np.arange(len(some))
-    return explained_before(some, order, refiner.points, refiner.normals, depth, intrinsics, tolerance, refiner.spacing)
+    return explained_before(
+        some, order, np.zeros(len(some), np.int64), refiner.points[None], refiner.normals[None], depth, intrinsics,
+        np.array([tolerance]), np.array([refiner.spacing]),
+    )  # fmt: skip
 
 
 def test_a_detection_becomes_one_pose_and_tells_which_hypothesis_it_was(
@@ -283,6 +288,30 @@ def test_two_poses_inside_each_other_are_never_both_believed(row: tuple[ObjectMo
     touching = finalists.pairs[finalists.deep > 1.0]
     assert len(touching) > 50 and (kept.score > 0.5).sum() >= 2
     assert not (score[touching] > 0.5).all(1).any()
+
+
+def test_parts_in_one_bin_compete_for_what_the_image_shows(row: tuple[ObjectModel, np.ndarray, np.ndarray]) -> None:
+    """A smaller box fits the front of a wedge; where the wedge explains it, the box is not believed."""
+    model, some, depth = row
+    small = ObjectModel.from_mesh("small", 0.8 * np.asarray(model.vertices), np.asarray(model.faces))
+    judge = Judge(
+        FORMAT, Regression(0.0, {"agreement": (0.5, 0.1, 2.0)}), Regression(2.0, {"explained": (0.3, 0.1, -1.0)})
+    )
+    boxes = some[:2].copy()
+    boxes[:, 2, 3] -= 0.2 * 0.015
+    wedges, smalls = unfitted(Refiner(model, judge), some[:2], depth), unfitted(Refiner(small, judge), boxes, depth)
+    fittings, finalists = zip(
+        *((fitting, fitting.judged(fits, fits)) for fitting, fits in (wedges, smalls)), strict=True
+    )
+    alone = smalls[0].verified(finalists[1])
+    assert len(alone.score) == 2 and alone.score.min() > 0.5
+    of_wedges, of_smalls = settled(fittings, finalists)
+    assert len(of_wedges.score) == 2 and of_wedges.score.min() > 0.5
+    assert (of_smalls.score > 0.5).sum() == 0
+    swapped = settled(fittings[::-1], finalists[::-1])[::-1]  # in whatever order the parts are given
+    for found, other in zip((of_wedges, of_smalls), swapped, strict=True):
+        np.testing.assert_array_equal(found.hypothesis, other.hypothesis)
+        np.testing.assert_allclose(found.score, other.score)
 
 
 def test_the_best_of_each_group_are_those_of_a_plain_loop() -> None:

@@ -158,7 +158,18 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
 @click.option("--picture", type=OutputFile(*IMAGES), help="Draw the poses on the (first) image, as PNG.")
 @click.option("--picture-score", type=float, default=0.5, show_default=True, help="Draw poses scored at least this.")
-@click.option("--refine/--no-refine", default=False, help="Fit each pose to the depth image and verify the set.")
+@click.option(
+    "--refine/--no-refine",
+    default=None,
+    help="Fit each pose to the depth image and verify the set.  [default: no, with --also yes]",
+)
+@click.option(
+    "--also",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="The model of another part in the same bin; may be repeated. Refined poses of all compete for what the image "
+    "shows; the other part's are written beside OUT, as preds-NAME.json.",
+)
 @click.option("--max-images", type=click.IntRange(min=1), help="Only so many images, spread over the source.")
 @click.option("--no-registration", is_flag=True, help="Ablation: score = confidence.")
 @click.option("--no-offset", is_flag=True, help="Ablation: the box center stands in for the center.")
@@ -197,6 +208,8 @@ def predict(
     show_log()
     images = opened(source, options, "to predict on")
     switched = PredictOptions(not no_registration, not no_offset, hypotheses)
+    refine = options.pop("refine")
+    options["refine"] = bool(options["also"]) if refine is None else refine
     click.echo(commands.predict(model, images, options=switched, area=AreaOfInterest(mask, roi), **options))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -18,9 +19,10 @@ from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.area_of_interest import AreaOfInterest
 from posenet.prediction.pose_picture import draw_predictions, write_picture
-from posenet.prediction.predictor import PredictedPoses, Predictor, to_document
+from posenet.prediction.predictor import PredictedPoses, Predictor, predict_together, to_document
 
 BATCH = 4
+_SAFE = re.compile(r"[^\w.-]+")
 
 Found = list[tuple[str, PredictedPoses]]
 
@@ -38,10 +40,12 @@ def predict(
     options: PredictOptions | None = None,
     area: AreaOfInterest | None = None,
     object_id: int | None = None,
+    also: Sequence[Path] = (),
 ) -> str:
     """Predict on the images of `source`, write `out` and, if asked for, a picture of the first; returns a summary.
 
-    An `out` that ends in .csv becomes BOP's results file, with `object_id` as the object's number.
+    An `out` that ends in .csv becomes BOP's results file, with `object_id` as the object's number. `also` are models of
+    other parts in the same bin, whose poses compete with this one's; theirs are written beside `out`.
 
     Raises:
         InputError: the model, the images, the area or the device cannot be used.
@@ -50,32 +54,56 @@ def predict(
     area = area or AreaOfInterest()
     for camera in dict.fromkeys(source.cameras):
         area.mask(camera)  # refused now, not after an hour
-    predictor = Predictor.load(model, device, refine, options, precision)
+    if also and not refine:
+        raise InputError(
+            "--also: poses of several parts compete by what the image shows of them; leave out --no-refine."
+        )
+    predictors = [Predictor.load(file, device, refine, options, precision) for file in (model, *also)]
+    predictor, outs = predictors[0], _outs(out, [each.model.name for each in predictors])
     _require_bop_ids(out, source, predictor.model.name, object_id)
     for file in [out] + ([picture] if picture is not None else []):
         _require_writable(file.parent)
     numbers = source.spread(max_images)
-    found = list(tqdm(_over(predictor, source, numbers, area), total=len(numbers), desc="predict", unit=" images"))
-    document = to_document(predictor.model, iter(found))
-    if _is_bop_csv(out):
-        bop_results.write_predictions(out, document, object_id=object_id)
-    else:
-        write_predictions(out, document)
+    found = list(tqdm(_over(predictors, source, numbers, area), total=len(numbers), desc="predict", unit=" images"))
+    parts = [[(name, poses[part]) for name, poses in found] for part in range(len(predictors))]
+    for each, file, images in zip(predictors, outs, parts, strict=True):
+        document = to_document(each.model, iter(images))
+        if _is_bop_csv(file):
+            bop_results.write_predictions(file, document, object_id=object_id)
+        else:
+            write_predictions(file, document)
     if picture is not None and found:
         camera = source.cameras[numbers[0]]
         depth = source.depth(numbers[0])
-        write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1], picture_score))
+        write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1][0], picture_score))
     after_predict(source.path, out, source.truth, drawn=picture is not None)
-    return f"{_summary(out, found)}, layers in {predictor.precision}"
+    lines = [_summary(file, images) for file, images in zip(outs, parts, strict=True)]
+    return "\n".join(f"{line}, layers in {predictor.precision}" for line in lines)
+
+
+def _outs(out: Path, names: list[str]) -> list[Path]:
+    """A file for each part: `out`, and beside it those of other parts by their objects' names.
+
+    Raises:
+        InputError: two parts have the same name, or BOP's results are asked of several.
+    """
+    if len(names) > 1 and _is_bop_csv(out):
+        raise InputError(f"{out}: --also writes a preds.json for each part; end the name in .json.")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"--also: two models are of the part '{twice}'; give one model of each part.")
+    return [out] + [out.with_name(f"{out.stem}-{_SAFE.sub('_', name)}{out.suffix}") for name in names[1:]]
 
 
 def _over(
-    predictor: Predictor, source: DepthSource, numbers: list[int], area: AreaOfInterest
-) -> Iterator[tuple[str, PredictedPoses]]:
+    predictors: Sequence[Predictor], source: DepthSource, numbers: list[int], area: AreaOfInterest
+) -> Iterator[tuple[str, tuple[PredictedPoses, ...]]]:
+    """The images' names, and the poses of each part in them."""
     for camera, some in _batches(source, numbers):
         names = [source.names[number] for number in some]
         depths = [source.read(number) for number in some]
-        yield from zip(names, predictor.predict_batch(depths, camera, names, area.mask(camera)), strict=True)
+        found = predict_together(predictors, depths, camera, names, area.mask(camera))
+        yield from zip(names, zip(*found, strict=True), strict=True)
 
 
 def _batches(source: DepthSource, numbers: list[int]) -> Iterator[tuple[Camera, list[int]]]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from evalkit.datasets.documents import PredictionImage, Predictions
 from evalkit.depth.clean import clean_depth
+from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
 from evalkit.objects.model import ObjectModel
 from posenet.device import choose_device, layers_in_bf16
@@ -25,7 +26,7 @@ from posenet.network.stages import ImagePoses
 from posenet.prediction.any_camera import check_distance, trained_grid
 from posenet.prediction.area_of_interest import Mask, cut_out
 from posenet.prediction.fast_network import fast_network
-from posenet.refinement.refiner import Refiner
+from posenet.refinement.refiner import Fitting, Refiner, refine_together
 
 # Refinement tells two boxes of one instance from two instances, so it may have both, and more of them.
 REFINED_DETECTIONS, REFINED_OVERLAP = 128, 0.75
@@ -114,20 +115,7 @@ class Predictor:
         self, depths: Sequence[NDArray[Any]], camera: Camera, names: Sequence[str] = (), mask: Mask | None = None
     ) -> list[PredictedPoses]:
         """As :meth:`predict`, for several images of one camera at once; `names` call them in messages."""
-        started = time.perf_counter()
-        titles = [f"image '{name}'" for name in names] or ["the depth image"] * len(depths)
-        clean = [clean_depth(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
-        corner = (0, 0)
-        if mask is not None:
-            clean, camera, corner = cut_out(clean, camera, mask)
-        for depth, title in zip(clean, titles, strict=True):
-            check_distance(depth, camera, self.network, title)
-        found = self._on_grids(clean, camera)
-        if self.refiner is not None:
-            refiner = self.refiner
-            found = [_refined(refiner, *pair, camera) for pair in zip(clean, found, strict=True)]
-        seconds = (time.perf_counter() - started) / max(len(depths), 1)
-        return [replace(image, boxes=image.boxes + np.tile(corner, 2), time_s=seconds) for image in found]
+        return predict_together([self], depths, camera, names, mask)[0]
 
     def clean(self, depth: NDArray[Any], camera: Camera, title: str = "the depth image") -> NDArray[np.float32]:
         """The image with 0 wherever nothing returned.
@@ -139,8 +127,11 @@ class Predictor:
         check_distance(clean, camera, self.network, title)
         return clean
 
-    def _on_grids(self, depths: list[NDArray[np.float32]], camera: Camera) -> list[PredictedPoses]:
-        """Each image on the pixel grid that suits it; together those of one grid, as many as memory allows."""
+    def proposed(self, depths: list[NDArray[np.float32]], camera: Camera) -> list[PredictedPoses]:
+        """What the network alone says of clean images.
+
+        Each is on the pixel grid that suits it; those of one grid go together, as many as memory allows.
+        """
         found: list[PredictedPoses] = [_NOTHING] * len(depths)
         grids = [trained_grid(depth, camera, self.network) for depth in depths]
         for grid in dict.fromkeys(grids):
@@ -170,11 +161,55 @@ class Predictor:
 _NOTHING = PredictedPoses(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros(0, np.int64), 0.0)
 
 
-def _refined(refiner: Refiner, depth: NDArray[np.float32], found: PredictedPoses, camera: Camera) -> PredictedPoses:
-    """The poses fitted to the image: one a detection, without duplicates, scored by what the image says of them."""
-    refined = refiner.refine(depth, camera, found.cam_from_obj, found.score, found.detection)
-    row = refined.hypothesis
-    return PredictedPoses(refined.cam_from_obj, refined.score, found.boxes[row], found.detection[row], found.time_s)
+def predict_together(
+    predictors: Sequence[Predictor],
+    depths: Sequence[NDArray[Any]],
+    camera: Camera,
+    names: Sequence[str] = (),
+    mask: Mask | None = None,
+) -> list[list[PredictedPoses]]:
+    """As :meth:`Predictor.predict_batch`, of several parts in the same images: for each predictor, poses of each image.
+
+    Poses of all parts compete for what the image shows, if every predictor refines: a surface that one part explains
+    better speaks for no other, and no two parts are inside each other.
+
+    Raises:
+        InputError: see :meth:`Predictor.predict`; or some of several predictors do not refine.
+    """
+    refiners = [predictor.refiner for predictor in predictors if predictor.refiner is not None]
+    if len(predictors) > 1 and len(refiners) < len(predictors):
+        raise InputError("poses of several parts compete by what the image shows of them; load every model to refine.")
+    started = time.perf_counter()
+    titles = [f"image '{name}'" for name in names] or ["the depth image"] * len(depths)
+    clean = [clean_depth(depth, camera, title) for depth, title in zip(depths, titles, strict=True)]
+    corner = (0, 0)
+    if mask is not None:
+        clean, camera, corner = cut_out(clean, camera, mask)
+    for predictor in predictors:
+        for depth, title in zip(clean, titles, strict=True):
+            check_distance(depth, camera, predictor.network, title)
+    found = [predictor.proposed(clean, camera) for predictor in predictors]
+    if refiners and clean:
+        images = zip(clean, zip(*found, strict=True), strict=True)
+        found = [list(part) for part in zip(*(_refined(refiners, *image, camera) for image in images), strict=True)]
+    seconds = (time.perf_counter() - started) / max(len(depths), 1)
+    shift = np.tile(corner, 2)
+    return [[replace(image, boxes=image.boxes + shift, time_s=seconds) for image in part] for part in found]
+
+
+def _refined(
+    refiners: Sequence[Refiner], depth: NDArray[np.float32], found: Sequence[PredictedPoses], camera: Camera
+) -> list[PredictedPoses]:
+    """Poses of each part fitted to the image: one a detection, without duplicates, scored by what the image says."""
+    fittings = [
+        Fitting(refiner, depth, camera, part.cam_from_obj, part.score, part.detection)
+        for refiner, part in zip(refiners, found, strict=True)
+    ]
+    return [
+        PredictedPoses(refined.cam_from_obj, refined.score, part.boxes[row], part.detection[row], part.time_s)
+        for refined, part in zip(refine_together(fittings), found, strict=True)
+        for row in [refined.hypothesis]
+    ]
 
 
 def to_document(model: ObjectModel, images: Iterator[tuple[str, PredictedPoses]]) -> Predictions:

@@ -67,34 +67,38 @@ def depth_evidence(
 def explained_before(
     pose: Any,
     order: Any,
+    part: Any,
     points: Any,
     normals: Any,
     depth: Any,
     intrinsics: Any,
-    tolerance: float,
-    spacing: float,
+    tolerance: Any,
+    spacing: Any,
 ) -> Any:
     """Share of each pose's support (n,) that poses earlier in `order` explain; 1 without any support.
 
     A pose with more than ALREADY_EXPLAINED of it is a duplicate, which explains nothing to those after it. A point
-    explains the pixels about it that are as deep as it is, however many they are: `spacing` is that of the points, in
-    meters.
+    explains the pixels about it that are as deep as it is, however many they are.
+
+    Args:
+        part: (n,) which of k parts each pose is of. points, normals: (k, P, 3) of the parts' surfaces. tolerance,
+            spacing: (k,) meters by which depth may differ, and between points.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     explained = np.zeros((height, width), np.bool_)
     share = np.ones(len(pose))
-    pixel, deep = np.empty((len(points), 2), np.int64), np.empty(len(points))
+    pixel, deep = np.empty((points.shape[1], 2), np.int64), np.empty(points.shape[1])
     for i in order:
-        rotation, origin = pose[i, :3, :3].copy(), pose[i, :3, 3].copy()
+        rotation, origin, of = pose[i, :3, :3].copy(), pose[i, :3, 3].copy(), part[i]
         count = taken = 0
-        for k in range(len(points)):
-            p = placed(rotation, origin, points[k])
-            n = turned(rotation, normals[k])
+        for k in range(points.shape[1]):
+            p = placed(rotation, origin, points[of, k])
+            n = turned(rotation, normals[of, k])
             if p[2] <= 1e-6 or n[0] * p[0] + n[1] * p[1] + n[2] * p[2] >= 0.0:
                 continue
             u, v = int(np.floor(fx * p[0] / p[2] + cx + 0.5)), int(np.floor(fy * p[1] / p[2] + cy + 0.5))
-            if u < 0 or v < 0 or u >= width or v >= height or abs(depth[v, u] - p[2]) > tolerance:
+            if u < 0 or v < 0 or u >= width or v >= height or abs(depth[v, u] - p[2]) > tolerance[of]:
                 continue
             pixel[count, 0], pixel[count, 1], deep[count] = u, v, p[2]
             count += 1
@@ -105,9 +109,9 @@ def explained_before(
             continue
         for k in range(count):
             u, v = pixel[k]
-            reach = max(1, int(FOOTPRINT * spacing * fx / deep[k] + 0.5))
+            reach = max(1, int(FOOTPRINT * spacing[of] * fx / deep[k] + 0.5))
             for y in range(max(v - reach, 0), min(v + reach + 1, height)):
                 for x in range(max(u - reach, 0), min(u + reach + 1, width)):
-                    if abs(depth[y, x] - deep[k]) <= tolerance:
+                    if abs(depth[y, x] - deep[k]) <= tolerance[of]:
                         explained[y, x] = True
     return share

@@ -4,15 +4,13 @@ A network's rotation is often off by more than ICP can mend, most of all where l
 hypotheses that the image speaks for most (:mod:`posenet.refinement.depth_evidence`), two of a detection, are also
 started from turns of them to all sides; ICP is cheap. All poses of an image are fitted together. Of all fits of a
 detection the best is kept and fitted once more from turns half as large. A judge that learned from simulated piles
-says how likely each is right (:mod:`posenet.refinement.judge`), and the set is verified, best first: a depth pixel
-speaks for one pose only (after Aldoma et al. 2012, who do so for classical pipelines), and of two that would be inside
-each other at most one is believed.
+says how likely each is right (:mod:`posenet.refinement.judge`), and the set is verified
+(:mod:`posenet.refinement.competition`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +21,17 @@ from evalkit.objects.depth_views import sphere_directions
 from evalkit.objects.model import ObjectModel, sample_surface_with_normals, surface_moments
 from evalkit.scoring.distances import Sym
 from posenet.refinement.appearance import appearance
-from posenet.refinement.depth_evidence import ALREADY_EXPLAINED, depth_evidence, explained_before
+from posenet.refinement.competition import explained, settled
+from posenet.refinement.depth_evidence import depth_evidence
+from posenet.refinement.fits import Finalists, Fits, RefinedPoses
 from posenet.refinement.icp import icp
-from posenet.refinement.judge import Judge, probability, shipped_judge
-from posenet.refinement.neighbors import neighbor_columns, without_impossible_pairs
+from posenet.refinement.judge import Judge, shipped_judge
 from posenet.refinement.observed import observed
 from posenet.refinement.pose_evidence import FARTHEST, as_columns, company, search_columns
-from posenet.refinement.solid import Solid, close_pairs
+from posenet.refinement.solid import Solid, close_pairs, interpenetration
 
 Array = NDArray[np.float64]
+NOTHING = RefinedPoses(np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
 POINTS = 500
 TOLERANCE = 0.04  # diameters: depth agrees within this
 ITERATIONS = 12
@@ -43,33 +43,6 @@ VIOLATION_WEIGHT = 0.5
 PRIOR_WEIGHT = 0.3  # of a hypothesis's own score
 PRIOR_REACH = 1.5  # of the object's threshold: how far from the hypothesis its score still speaks for a fit
 JUDGED_POINTS = 1500  # of the surface, when fits are judged; more than searching can afford
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedPoses:
-    """m poses after refinement, best first, without those that others explain."""
-
-    cam_from_obj: Array  # (m, 4, 4)
-    hypothesis: NDArray[np.int64]  # (m,) which of those given each comes from
-    score: Array  # (m,) in [0, 1]
-    agreement: Array  # (m,) share of the camera-facing surface that the image shows where the pose has it
-    violation: Array  # (m,) share that the camera looks through
-
-
-class Fits(NamedTuple):
-    """n fitted poses on their way: which hypothesis each began as, and what the image says of it."""
-
-    cam_from_obj: Array
-    hypothesis: NDArray[np.int64]
-    agreement: Array
-    violation: Array
-    evidence: Array  # how the search ranks them
-
-    def select(self, rows: NDArray[np.int64]) -> Fits:
-        return Fits._make(part[rows] for part in self)
-
-    def joined(self, other: Fits) -> Fits:
-        return Fits._make(np.concatenate(parts) for parts in zip(self, other, strict=True))
 
 
 class Refiner:
@@ -100,20 +73,20 @@ class Refiner:
 
         At most one pose is kept of all hypotheses with the same number in `detection` (n,); without it, of each.
         """
-        if len(cam_from_obj) == 0:
-            return RefinedPoses(np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
         group = np.arange(len(score)) if detection is None else np.asarray(detection)
-        fitting = Fitting(self, depth, camera, np.asarray(cam_from_obj, float), score, group)
-        return fitting.verified(fitting.judged(*fitting.search()))
+        return refine_together([Fitting(self, depth, camera, np.asarray(cam_from_obj, float), score, group)])[0]
 
 
-class Finalists(NamedTuple):
-    """The best fit of each of m detections, and all that is known of them."""
-
-    fits: Fits
-    alone: dict[str, Array]  # by name, columns (m,) of what speaks for each alone
-    pairs: NDArray[np.int64]  # (p, 2) of fits so near that they may touch
-    deep: Array  # (p,) tolerances by which they interpenetrate
+def refine_together(fittings: Sequence[Fitting]) -> list[RefinedPoses]:
+    """The refined poses of each of several parts in one image, which compete for what it shows."""
+    found = [NOTHING] * len(fittings)
+    rows = [row for row, fitting in enumerate(fittings) if len(fitting.score)]
+    some = [fittings[row] for row in rows]
+    if some:
+        refined = settled(some, [fitting.judged(*fitting.search()) for fitting in some])
+        for row, those in zip(rows, refined, strict=True):
+            found[row] = those
+    return found
 
 
 class Fitting:
@@ -181,32 +154,17 @@ class Fitting:
             "company": company(len(fits.evidence), pairs, apart),
             "evidence": fits.evidence,
         }
-        deep = refiner.solid.interpenetration(fits.cam_from_obj, pairs, refiner.points) / self.tolerance
+        one = np.zeros(len(fits.evidence), np.int64)
+        deep = interpenetration([refiner.solid], one, fits.cam_from_obj, pairs, refiner.points[None]) / self.tolerance
         return Finalists(fits, alone, pairs, deep)
 
     def verified(self, finalists: Finalists) -> RefinedPoses:
         """Best first, without duplicates; of two that are inside each other one at most is believed."""
-        fits, alone, pairs, deep = finalists
-        logit = self.refiner.judge.alone.logit(alone)
-        share = self.explained(fits.cam_from_obj, logit)
-        kept = share <= ALREADY_EXPLAINED
-        among = neighbor_columns(logit, alone["agreement"], fits.evidence, share, kept, pairs, deep)
-        score = np.where(kept, probability(self.refiner.judge.among.logit(among)), 0.0)
-        score = without_impossible_pairs(score, pairs[deep > 1.0])
-        order = np.argsort(-score, kind="stable")
-        rows = order[kept[order]]
-        fits = fits.select(rows)
-        return RefinedPoses(fits.cam_from_obj, fits.hypothesis, score[rows], fits.agreement, fits.violation)
+        return settled([self], [finalists])[0]
 
     def explained(self, cam_from_obj: Array, logit: Array) -> Array:
         """The share (n,) of each pose's support that better ones explain."""
-        refiner, order = self.refiner, np.argsort(-logit, kind="stable")
-        return np.asarray(
-            explained_before(
-                cam_from_obj, order, refiner.points, refiner.normals, self.depth, self.intrinsics, self.tolerance,
-                refiner.spacing,
-            )
-        )  # fmt: skip
+        return explained([self], np.zeros(len(logit), np.int64), cam_from_obj, logit)
 
     def _apart(self, a: Array, b: Array) -> Array:
         """Distances (n,) of poses in thresholds."""

@@ -6,6 +6,7 @@ of it. That needs no closed mesh, and the hollow of a cup is outside.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -38,9 +39,17 @@ class Solid:
         self.radius = float(np.linalg.norm(vertices - self.middle, axis=1).max())
         self.depth = _depth_below_surface((model.vertices - self.middle) / self.radius, model.faces) * self.radius
 
-    def interpenetration(self, cam_from_obj: Array, pairs: NDArray[np.int64], points: Array) -> Array:
-        """Meters (p,) by which each pair (p, 2) of poses (n, 4, 4) interpenetrates, of surface points (P, 3)."""
-        return np.asarray(_interpenetration(cam_from_obj, pairs, points, self.depth, self.middle, self.radius))
+
+def interpenetration(
+    solids: Sequence[Solid], part: NDArray[np.int64], cam_from_obj: Array, pairs: NDArray[np.int64], points: Array
+) -> Array:
+    """Meters (p,) by which each pair (p, 2) of poses (n, 4, 4) interpenetrates.
+
+    `part` (n,) says which of k solids each pose is of, `points` (k, P, 3) are of their surfaces.
+    """
+    grids, middles = np.stack([solid.depth for solid in solids]), np.stack([solid.middle for solid in solids])
+    radii = np.array([solid.radius for solid in solids])
+    return np.asarray(_interpenetration(cam_from_obj, part, pairs, points, grids, middles, radii))
 
 
 def close_pairs(centers: Array, reach: float) -> NDArray[np.int64]:
@@ -64,20 +73,21 @@ def _depth_below_surface(vertices: Array, faces: NDArray[np.integer]) -> NDArray
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def _interpenetration(pose: Any, pairs: Any, points: Any, grid: Any, middle: Any, radius: float) -> Any:
+def _interpenetration(pose: Any, part: Any, pairs: Any, points: Any, grids: Any, middles: Any, radii: Any) -> Any:
     deepest = np.zeros(len(pairs))
     for p in numba.prange(len(pairs)):
         i, j = pairs[p]
+        a, b = part[i], part[j]
         deepest[p] = max(
-            _deep_in(pose[i], pose[j], points, grid, middle, radius),
-            _deep_in(pose[j], pose[i], points, grid, middle, radius),
+            _deep_in(pose[i], pose[j], points[a], grids[b], middles[b], radii[b]),
+            _deep_in(pose[j], pose[i], points[b], grids[a], middles[a], radii[a]),
         )
     return deepest
 
 
 @numba.njit(cache=True, fastmath=True)
 def _deep_in(pose: Any, other: Any, points: Any, grid: Any, middle: Any, radius: float) -> Any:
-    """How deep the DEEPEST-th deepest surface point of `pose` lies in `other`."""
+    """How deep the DEEPEST-th deepest of `points` at `pose` lies in what `grid` describes at `other`."""
     turn = other[:3, :3].T.copy() @ pose[:3, :3].copy()
     shift = other[:3, :3].T.copy() @ (pose[:3, 3] - other[:3, 3])
     best = np.zeros(DEEPEST)
