@@ -5,7 +5,9 @@
 #   docker cp binpose:/home/binpose/binpose/demo .     # pictures, model and scores
 #
 # and any other command: docker run --rm binpose .venv/bin/simgen --help
-FROM python:3.12-slim
+# Of another Python from 3.10 to 3.13: --build-arg PYTHON=3.11
+ARG PYTHON=3.12
+FROM python:${PYTHON}-slim
 
 # Unpinned, for Debian keeps no old versions.
 # hadolint ignore=DL3008
@@ -16,8 +18,8 @@ RUN apt-get update \
 USER 1000
 WORKDIR /home/binpose/binpose
 
-# PyTorch's builds for the CPU take a tenth of the space of those for a GPU: --build-arg PIP_EXTRA_INDEX_URL=… with the
-# index of CPU builds that PyTorch's installation page names.
+# The image takes 6.5 GB with PyTorch's builds for a GPU, which PyPI has, and 2.5 GB with those for the CPU:
+# --build-arg PIP_EXTRA_INDEX_URL=… with the index of CPU builds that PyTorch's installation page names.
 ARG PIP_EXTRA_INDEX_URL=
 ENV PIP_EXTRA_INDEX_URL=$PIP_EXTRA_INDEX_URL PIP_NO_CACHE_DIR=1
 

@@ -31,7 +31,7 @@ demo: $(STAMP) ## bunny mesh -> piles -> training -> poses -> AP and pictures, a
 
 # A process a core, of one thread each (more would wait for each other); four at most, for each takes 2 GB.
 PYTEST := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile \
-	--max-worker-restart 0
+	--no-loadscope-reorder --max-worker-restart 0
 
 test: $(STAMP) ## the tests, in some ten minutes on two cores
 	$(PYTEST) -m "not slow"
@@ -45,7 +45,7 @@ lint: $(STAMP) ## ruff and mypy
 	$(BIN)/mypy
 
 bench: $(STAMP) ## every figure that README states
-	for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+	for script in benchmarks/speed/bench_*.py; do $(BIN)/python $$script || exit 1; done
 
 docs: $(STAMP) ## the documentation as a site in site/, every link checked
 	$(BIN)/python docs/scripts/error_catalogue.py docs/errors.md

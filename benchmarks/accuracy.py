@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("--test-scenes", type=int, default=40, help="two views each")
     parser.add_argument("--layouts", type=Path, help="folder in Siléane's format: its scenes are a second test set")
     parser.add_argument("--seed", type=int, default=TRAIN_SEED)
-    parser.add_argument("--out", type=Path, help="[runs/accuracy/OBJECT-SENSOR-MINUTES]")
+    parser.add_argument("-o", "--output", dest="out", type=Path, help="[runs/accuracy/OBJECT-SENSOR-MINUTES]")
     options, fit = parser.parse_known_args()
     out = options.out or Path("runs") / "accuracy" / f"{Path(options.object).stem}-{options.sensor}-{options.minutes:g}"
     model = trained(options, fit, out)

@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--object", default="bunny")
     parser.add_argument("--sensor", default="stereo")
     parser.add_argument("--minutes", type=float, default=5)
-    parser.add_argument("--out", type=Path, default=Path("runs/adapt"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/adapt"))
     options = parser.parse_args()
     frames, test, adapted = options.out / "frames", options.out / "test", options.out / "adapted.pt"
     for folder, size in ((frames, FRAMES), (test, TEST)):

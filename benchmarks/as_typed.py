@@ -28,7 +28,7 @@ RESAMPLES = 1000
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--object", default="bunny", help="mesh file or built-in object")
-    parser.add_argument("--out", type=Path, default=Path("runs/as-typed"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/as-typed"))
     parser.add_argument("--sensors", nargs="*", default=SENSORS, choices=SENSORS, help="of the test images")
     parser.add_argument("--scenes", type=int, help="to train on; left to simgen if not given")
     parser.add_argument("--minutes", type=float, help="of training; left to posenet if not given")

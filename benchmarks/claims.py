@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--test-scenes", type=int, default=40, help="two views each")
     parser.add_argument("--table", choices=TABLES, action="append", help="only this one; may be repeated")
     parser.add_argument("--seeds", type=int, default=1, help="of training, for the table of registration")
-    parser.add_argument("--out", type=Path, help="[runs/claims/OBJECT-SENSOR-EPOCHS]")
+    parser.add_argument("-o", "--output", dest="out", type=Path, help="[runs/claims/OBJECT-SENSOR-EPOCHS]")
     options = parser.parse_args()
     out = options.out or Path("runs") / "claims" / f"{Path(options.object).stem}-{options.sensor}-{options.epochs}"
     build(options, out)

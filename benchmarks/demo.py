@@ -25,7 +25,7 @@ TRAIN_SCENES = 400  # two passes over them fill the time
 def main() -> int:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--object", default="bunny", help="mesh file or built-in object")
-    arguments.add_argument("--out", type=Path, default=Path("demo"))
+    arguments.add_argument("-o", "--output", dest="out", type=Path, default=Path("demo"))
     arguments.add_argument("--minutes", type=float, help="of training (what is left of a quarter of an hour)")
     options = arguments.parse_args()
     try:

@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="stereo")
     parser.add_argument("--scenes", type=int, default=30)
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("runs/domestic-cup"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/domestic-cup"))
     options = parser.parse_args()
     test, truth = options.out / "test", options.out / "gt.json"
     if options.scenes_file is not None:

@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--objects", default=",".join(PILES))
     parser.add_argument("--scenes", type=int, default=10, help="of each object and sensor, two views each")
     parser.add_argument("--write", type=Path, help="the judge made from all piles")
-    parser.add_argument("--out", type=Path, default=Path("runs/judge"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/judge"))
     options = parser.parse_args()
     piles = list(collected(options))
     table(piles)

@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="stereo")
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("runs/kitting"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/kitting"))
     options = parser.parse_args()
     rows = []
     for number, part in enumerate(options.parts):

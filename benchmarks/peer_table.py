@@ -42,7 +42,7 @@ def main(words: list[str] | None = None) -> None:
     )
     parser.add_argument("--model", type=Path, help="a trained network, to stand beside them")
     parser.add_argument("--visibility", default="returned", choices=("returned", "geometric"), help="the share")
-    parser.add_argument("--out", type=Path, default=Path("runs/peers"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/peers"))
     options = parser.parse_args(words)
     if options.images < 1:
         raise InputError(f"--images {options.images}: must be 1 or more.")

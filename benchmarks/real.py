@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument("--units", help="of the mesh")
     parser.add_argument("--model", type=Path, help="to score, in place of one trained here")
     parser.add_argument("--minutes", type=float, default=15, help="of training, without --model")
-    parser.add_argument("--out", type=Path, default=Path("runs/real"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/real"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     model = options.model or train(options.mesh, options.units, options.minutes, options.out)

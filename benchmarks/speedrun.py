@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="stereo")
     parser.add_argument("--scenes", type=int, default=320, help="to train on")
     parser.add_argument("--test-scenes", type=int, default=TEST_SCENES)
-    parser.add_argument("--out", type=Path, default=Path("runs/speedrun"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/speedrun"))
     options = parser.parse_args()
     race = Race(options.out, {"before": options.before, "after": options.after})
     race.build(options.object, options.sensor, options.scenes, options.test_scenes)

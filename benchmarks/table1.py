@@ -205,7 +205,7 @@ def shown(cell: dict[str, Any], published: str) -> str:
 def main(words: list[str] | None = None) -> None:
     titles = [column.title for column in COLUMNS]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/table1"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/table1"))
     parser.add_argument("--test-scenes", type=int, default=20, help="of two views each")
     parser.add_argument("--train-scenes", type=int, default=500)
     parser.add_argument("--network", default="small", help="preset of posenet fit")

@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--test", type=Path, help="shards to judge on")
     parser.add_argument("--preds", type=Path, help="refined poses on them")
     parser.add_argument("--images", type=int, default=40)
-    parser.add_argument("--out", type=Path, default=Path("runs/verdicts"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/verdicts"))
     options = parser.parse_args()
     test, preds = options.test or options.out / "test", options.preds or options.out / "preds.json"
     if options.test is None:

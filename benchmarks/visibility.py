@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="stereo")
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("runs/visibility"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/visibility"))
     options = parser.parse_args()
     shards, truth = options.out / options.sensor, options.out / f"{options.sensor}-gt.json"
     run("simgen", "build", "--object", options.object, "--sensor", options.sensor, "--preset", "demo", "--scenes",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import subprocess
@@ -10,6 +11,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+LONGEST = (  # files that take longest, first: begun last, one of them would keep the other processes waiting
+    "test_train", "test_onnx_export", "test_interruption", "test_processes", "test_pipeline", "test_interrupted_builds",
+    "test_symmetry_detection", "test_report", "test_wheels",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files come first, so that several processes end at about the same time."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
 
 
 def _run_command(command: str, *arguments: object, timeout: float = 600) -> subprocess.CompletedProcess[str]:
@@ -25,26 +36,43 @@ def run_command() -> Callable[..., subprocess.CompletedProcess[str]]:
     return _run_command
 
 
+def _made_once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that whichever process of this test run needs it first makes, and the others take as it is."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    folder, done = base / name, base / f"{name}.done"
+    with open(base / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            make(folder)
+            done.touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def debug_shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenes of bunnies side by side, three views each, 160 x 120."""
-    out = tmp_path_factory.mktemp("shards") / "debug"
-    done = _run_command(
-        "simgen", "build", "--object", "bunny", "--preset", "debug", "--scenes", 2, "--bin", "0.3x0.3x0.1", "-o", out
-    )
-    assert done.returncode == 0, done.stderr
-    return out
+    """Two scenes of bunnies side by side, three views each, 160 x 120. Not to be changed."""
+
+    def make(out: Path) -> None:
+        small = ("--preset", "debug", "--scenes", 2, "--bin", "0.3x0.3x0.1", "--workers", 1)
+        done = _run_command("simgen", "build", "--object", "bunny", *small, "-o", out)
+        assert done.returncode == 0, done.stderr
+
+    return _made_once(tmp_path_factory, "debug-shards", make)
 
 
 @pytest.fixture(scope="session")
 def run_folder(debug_shards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A network trained for some steps: enough for it to detect something."""
+    """A network trained for some steps: enough for it to detect something. Not to be changed."""
     from posenet.config import preset
     from posenet.training.fit_options import FitOptions
     from posenet.training.train import fit
 
-    out = tmp_path_factory.mktemp("run")
-    return fit(FitOptions([debug_shards], out, preset("debug"), epochs=40, device="cpu", validate=False)).path
+    def make(out: Path) -> None:
+        fit(FitOptions([debug_shards], out, preset("debug"), epochs=40, device="cpu", validate=False))
+
+    return _made_once(tmp_path_factory, "run", make)
 
 
 @pytest.fixture(scope="session")

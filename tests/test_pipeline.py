@@ -30,8 +30,8 @@ def test_a_users_own_mesh_becomes_a_scored_estimator(folder: Path, run_command: 
     said = succeed(run_command("simgen", "object", mesh))
     assert "mm" in said and "revolution-flip" in said
     build = ("--object", mesh, "--preset", "debug", "--units", "mm")
-    succeed(run_command("simgen", "build", *build, "--scenes", 6, "-o", shards))
-    succeed(run_command("simgen", "build", *build, "--scenes", 2, "--seed", 7, "-o", test))
+    succeed(run_command("simgen", "build", *build, "--scenes", 4, "-o", shards))
+    succeed(run_command("simgen", "build", *build, "--scenes", 2, "--seed", 7, "--workers", 1, "-o", test))
     succeed(run_command("simgen", "verify", shards))
     succeed(run_command("simgen", "preview", shards, "-o", folder / "preview.png"))
     succeed(run_command("posenet", "fit", shards, "--preset", "debug", "--epochs", 40, "-o", folder / "run"))

@@ -36,8 +36,8 @@ def measured(table1, monkeypatch):
 
 def test_a_run_that_was_cut_off_measures_only_the_cells_that_are_missing(table1, measured, tmp_path, capsys):
     with pytest.raises(KeyboardInterrupt):
-        table1.main(["--out", str(tmp_path)])
-    table1.main(["--out", str(tmp_path)])
+        table1.main(["-o", str(tmp_path)])
+    table1.main(["-o", str(tmp_path)])
     cells = [cell for cell in measured if cell != "cut"]
     assert len(cells) == len(set(cells)) == len(table1.COLUMNS) * len(table1.ROWS)
     written = (tmp_path / "table1.md").read_text()
@@ -93,9 +93,9 @@ def test_a_cell_that_fails_leaves_the_others_to_go_on(table1, monkeypatch, tmp_p
 
 
 def test_a_folder_begun_with_other_numbers_is_refused(table1, measured, tmp_path):
-    table1.main(["--out", str(tmp_path), "--columns", "bunny, Sym", "--rows", "PPF"])
+    table1.main(["-o", str(tmp_path), "--columns", "bunny, Sym", "--rows", "PPF"])
     with pytest.raises(InputError, match="begun with"):
-        table1.main(["--out", str(tmp_path), "--minutes", "1"])
+        table1.main(["-o", str(tmp_path), "--minutes", "1"])
 
 
 def test_the_paper_s_figures_stand_beside_ours(table1):

@@ -32,7 +32,7 @@ def options(shards: Path, out: Path, config: Config | None = None, **rest: objec
 
 def test_it_overfits_two_scenes(debug_shards: Path, tmp_path: Path) -> None:
     """All labels, heads and decoders agree, or this cannot be."""
-    run = fit(options(debug_shards, tmp_path / "run", epochs=350))
+    run = fit(options(debug_shards, tmp_path / "run", epochs=220))
     frames = Frames(debug_shards)
     network = load_model(run.path).network
     result = validate(network, frames, np.arange(len(frames.dataset)), torch.device("cpu"))

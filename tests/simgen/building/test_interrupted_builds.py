@@ -19,9 +19,10 @@ from angle_job import SMALL, digests, job_of, times
 from evalkit.datasets.shard_folder import shard_name
 from evalkit.datasets.shard_format import checksum_problem
 from evalkit.errors import InputError
-from simgen.building.build import build, build_shard
+from simgen.building.build import build
 
-TWENTY = replace(SMALL, scenes=40)  # shards
+SHARDS = 12
+CONFIG = replace(SMALL, scenes=2 * SHARDS)
 COMMAND = """
 import sys
 from dataclasses import replace
@@ -30,14 +31,14 @@ sys.path.insert(0, {here!r})
 from angle_job import SMALL, job_of
 from simgen.building.build import build
 if __name__ == "__main__":
-    build(job_of(replace(SMALL, scenes=40)), Path({folder!r}), workers=2)
+    build(job_of(replace(SMALL, scenes={scenes})), Path({folder!r}), workers=2)
 """
 
 
 @contextlib.contextmanager
 def building(folder: Path, script: Path, shards: int = 2) -> Iterator[subprocess.Popen[bytes]]:
-    """A build of twenty shards in a process of its own, yielded when `shards` of them are done."""
-    script.write_text(COMMAND.format(here=str(Path(__file__).parent), folder=str(folder)))
+    """A build of all shards in a process of its own, yielded when `shards` of them are done."""
+    script.write_text(COMMAND.format(here=str(Path(__file__).parent), folder=str(folder), scenes=CONFIG.scenes))
     # A runner in a shell's background ignores Ctrl-C, and so would all that it starts.
     process = subprocess.Popen(
         [sys.executable, str(script)],
@@ -62,8 +63,17 @@ def children_of(pid: int) -> list[int]:
     return [int(word) for word in listed.stdout.split()]
 
 
-def test_a_build_killed_outright_is_completed_by_running_it_again(tmp_path: Path) -> None:
-    folder, job = tmp_path / "cut", job_of(replace(SMALL, scenes=40))
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("uninterrupted") / "shards"
+    build(job_of(CONFIG), folder, workers=1)
+    return digests(folder)
+
+
+def test_a_build_killed_outright_is_completed_by_running_it_again(
+    tmp_path: Path, uninterrupted: dict[str, str]
+) -> None:
+    folder, job = tmp_path / "cut", job_of(CONFIG)
     with building(folder, tmp_path / "script.py") as process:
         workers = children_of(process.pid)
         os.kill(process.pid, signal.SIGKILL)
@@ -73,27 +83,28 @@ def test_a_build_killed_outright_is_completed_by_running_it_again(tmp_path: Path
             assert time.monotonic() < deadline, "workers must not outlive their parent"
             time.sleep(0.05)
     done = times(folder)
-    assert 2 <= len(done) < 20
-    report = build(job, folder, workers=2)
-    assert report.kept == len(done) and len(report.written) == 20 - len(done)
+    assert 2 <= len(done) < SHARDS
+    report = build(job, folder, workers=1)
+    assert report.kept == len(done) and len(report.written) == SHARDS - len(done)
     assert {name: stamp for name, stamp in times(folder).items() if name in done} == done
-    assert sorted(path.name for path in folder.iterdir()) == ["dataset.json", *(shard_name(i) for i in range(20))]
-    build_shard(job, tmp_path, 19)
-    assert digests(folder)[shard_name(19)] == digests(tmp_path)[shard_name(19)]
+    assert sorted(path.name for path in folder.iterdir()) == ["dataset.json", *(shard_name(i) for i in range(SHARDS))]
+    assert digests(folder) == uninterrupted
 
 
-def test_the_shards_of_a_killed_worker_are_redone(tmp_path: Path) -> None:
+def test_the_shards_of_a_killed_worker_are_redone(tmp_path: Path, uninterrupted: dict[str, str]) -> None:
     folder = tmp_path / "maimed"
     with building(folder, tmp_path / "script.py") as process:
         os.kill(max(children_of(process.pid)), signal.SIGKILL)
         assert process.wait(timeout=120) == 0
-    assert len(times(folder)) == 20
+    assert digests(folder) == uninterrupted
     assert not list(folder.glob(".*.tmp"))
 
 
-def test_ctrl_c_stops_at_once_and_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
+def test_a_running_build_shares_its_folder_with_none_and_ctrl_c_stops_it_at_once(tmp_path: Path) -> None:
     folder = tmp_path / "stopped"
     with building(folder, tmp_path / "script.py") as process:
+        with pytest.raises(InputError, match="another 'simgen build' is at work"):
+            build(job_of(CONFIG), folder, workers=1)
         start = time.monotonic()
         os.killpg(process.pid, signal.SIGINT)
         assert process.wait(timeout=20) != 0
@@ -102,17 +113,10 @@ def test_ctrl_c_stops_at_once_and_leaves_a_folder_to_go_on_with(tmp_path: Path) 
     assert all(checksum_problem(path) is None for path in folder.glob("shard-*.h5"))
 
 
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("uninterrupted") / "shards"
-    build(job_of(TWENTY), folder, workers=2)
-    return digests(folder)
-
-
 def kill_at_a_random_moment(folder: Path, script: Path, victim: str, seed: int) -> None:
     """Start the build of `COMMAND` and kill -9 it, or one of its workers, somewhere between its start and its end."""
     rng = np.random.default_rng(seed)
-    shards = int(rng.integers(0, 18))
+    shards = int(rng.integers(0, SHARDS - 2))
     with building(folder, script, shards) as process:
         time.sleep(float(rng.uniform(0.0, 0.5)))
         workers = children_of(process.pid)
@@ -121,21 +125,13 @@ def kill_at_a_random_moment(folder: Path, script: Path, victim: str, seed: int) 
         process.wait(timeout=300)
 
 
-MOMENTS = [pytest.param(seed, marks=[pytest.mark.slow] * (seed > 0)) for seed in range(10)]
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", ["parent", "worker"])
-@pytest.mark.parametrize("seed", MOMENTS)
+@pytest.mark.parametrize("seed", range(10))
 def test_killed_at_any_moment_the_finished_dataset_has_the_bytes_of_an_uninterrupted_one(
     tmp_path: Path, uninterrupted: dict[str, str], victim: str, seed: int
 ) -> None:
     folder = tmp_path / "cut"
     kill_at_a_random_moment(folder, tmp_path / "script.py", victim, seed)
-    build(job_of(TWENTY), folder, workers=1)  # at once, while orphans may still be on their way out
+    build(job_of(CONFIG), folder, workers=1)  # at once, while orphans may still be on their way out
     assert digests(folder) == uninterrupted
-
-
-def test_two_builds_do_not_share_a_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "shared"
-    with building(folder, tmp_path / "script.py"), pytest.raises(InputError, match="another 'simgen build' is at work"):
-        build(job_of(replace(SMALL, scenes=40)), folder, workers=1)

@@ -16,7 +16,8 @@ from evalkit.geometry.camera import Camera
 from simgen.commands.cli import cli
 from simgen.sensor_fit import fit
 from simgen.sensors.sensor import measure, sensor_generator
-from simgen.sensors.sensor_config import parse_sensor, stereo
+from simgen.sensors.sensor_config import stereo
+from simgen.sensors.sensor_text import parse_sensor
 
 Image = NDArray[np.float32]
 

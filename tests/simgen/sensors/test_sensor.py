@@ -20,7 +20,8 @@ from simgen.commands.cli import cli
 from simgen.sensors import random_fields
 from simgen.sensors import sensor as model
 from simgen.sensors.sensor import measure, sensor_generator
-from simgen.sensors.sensor_config import SENSORS, SensorConfig, kinect, parse_sensor, stereo
+from simgen.sensors.sensor_config import SENSORS, SensorConfig, kinect, stereo
+from simgen.sensors.sensor_text import parse_sensor
 
 CAMERA = Camera(320, 240, 576.0, 560.0, 159.5, 119.5)
 PERFECT = SensorConfig("perfect", 0.06, 0.0, 0.0, 1e-4, 0.0, 0.0, 1.0, 0.5, 0.0, 0.0, 89.9)
@@ -231,7 +232,7 @@ def test_every_extreme_that_is_allowed_gives_finite_depth() -> None:
 
 
 def build(out: Path, *arguments: object, code: int = 0) -> str:
-    words = ["build", "--object", "bunny", "--preset", "debug", "--bin", "0.3x0.3x0.1", "--workers", 1, "-o", out]
+    words = ["build", "--object", "brick", "--preset", "debug", "--bin", "0.3x0.3x0.1", "--workers", 1, "-o", out]
     result = CliRunner().invoke(cli, [str(word) for word in (*words, *arguments)])
     assert result.exit_code == code, result.output
     return result.output

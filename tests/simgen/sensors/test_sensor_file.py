@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from evalkit.errors import InputError
-from simgen.sensors.sensor_config import kinect, parse_sensor
+from simgen.sensors.sensor_config import kinect
 from simgen.sensors.sensor_file import FORMAT, read_sensor, write_sensor
+from simgen.sensors.sensor_text import parse_sensor
 
 
 def test_a_sensor_comes_back_as_it_was_written_and_takes_changes(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from evalkit.geometry.camera import Camera
 from simgen.sensors.sensor import measure
-from simgen.sensors.sensor_config import SURFACES, SensorConfig, parse_sensor, stereo
+from simgen.sensors.sensor_config import SensorConfig, stereo
+from simgen.sensors.sensor_text import SURFACES, parse_sensor
 
 CAMERA = Camera(200, 160, 400.0, 400.0, 99.5, 79.5)
 PERFECT = SensorConfig("perfect", 0.06, 0.0, 0.0, 1e-4, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 89.9)

@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from evalkit.atomic import sha256_of_file, write_json
+from evalkit.atomic import write_json
 from evalkit.commands.camera_command import camera
+from evalkit.commands.described_inputs import described_inputs
 from evalkit.commands.formats import depth, gt, preds
 from evalkit.commands.group import Commands, suggest_next
 from evalkit.commands.output_file import DOCUMENTS, DRAWINGS, PAGES, OutputFile
@@ -221,11 +222,6 @@ def both(preds: Path | None, gt: Path | None) -> tuple[Path, Path]:
             "which 'evalkit gt' writes."
         )
     return preds, gt
-
-
-def described_inputs(**paths: Path) -> dict[str, dict[str, str]]:
-    """Names and hashes of the files that a result was computed from."""
-    return {key: {"file": path.name, "sha256": sha256_of_file(path)} for key, path in paths.items()}
 
 
 def summary(result: Result) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from evalkit.commands.command import Command
+from evalkit.commands.described_inputs import described_inputs
 from evalkit.commands.image_options import image_options, opened
 from evalkit.commands.output_file import DOCUMENTS, IMAGES, OutputFile
 from evalkit.errors import InputError
@@ -78,7 +79,6 @@ def verify(
     found = verify(predictions, images, model, min_score, tolerance)
     if json_path is not None:
         from evalkit.atomic import write_json
-        from evalkit.commands.cli import described_inputs
 
         write_json(json_path, {**found.to_json(), "inputs": described_inputs(predictions=preds)}, indent=1)
     if picture is not None:

@@ -23,6 +23,12 @@ def tidy(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def legend_below(axes: Axes) -> None:
+    """The legend beneath the drawing, where it hides nothing; the figure is one of :func:`new_figure`."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+
+
 def new_figure(width: float, height: float) -> Figure:
     """A figure that needs no display, in inches."""
     from matplotlib.figure import Figure  # slow to import, and most commands draw nothing

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.datasets.visibility_share import in_words
 from evalkit.drawing.chart import Chart, binned_rows
-from evalkit.drawing.plots import GRAY, INK, LINE, tidy
+from evalkit.drawing.plots import GRAY, INK, LINE, legend_below, tidy
 from evalkit.drawing.precision_recall_plot import draw_precision_recall, rule
 from evalkit.scoring.breakdown import CriterionAp, PoseErrors, VisibilityAp
 from evalkit.scoring.distances import CRITERIA
@@ -138,7 +138,7 @@ def ap_by_visibility(bins: list[VisibilityAp], settings: Settings) -> Chart:
         axes.set(xlim=(0, 100), ylim=(0, 1.12), xticks=range(0, 101, 10), yticks=np.linspace(0, 1, 6))
         axes.set(xlabel=f"visible, % of the silhouette ({in_words(settings.visibility)})", ylabel="AP, share found")
         tidy(axes)
-        _legend(axes, "no instances", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+        _legend(axes, "no instances")
 
     return Chart(
         name="ap_by_visibility",
@@ -226,10 +226,10 @@ def _log_counts(axes: Axes, most: int, otherwise: str) -> None:
     _legend(axes, otherwise)
 
 
-def _legend(axes: Axes, otherwise: str, **options: Any) -> None:
+def _legend(axes: Axes, otherwise: str) -> None:
     """The legend, or words where nothing was drawn."""
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(**{"frameon": False, **options})
+        legend_below(axes)
     else:
         axes.text(0.5, 0.5, otherwise, transform=axes.transAxes, ha="center", va="center", color=INK)
 

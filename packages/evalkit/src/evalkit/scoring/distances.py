@@ -62,7 +62,7 @@ class SymToolbox:
     Lambda and g are those of the inertial frame, but R and t map from the object's own frame, whose origin need not be
     the centroid. On the Siléane bunny, 7.8 mm off and 1 degree askew, poses 5 degrees apart differ from :class:`Sym` by
     up to 0.06 mm of 4.6, poses 180 degrees apart by 1.4 mm of 106; the reference results' AP is the same down to a
-    threshold of 0.02 diameters, and .721 where it should be .742 at 0.015 (`benchmarks/bench_evalkit.py`).
+    threshold of 0.02 diameters, and .721 where it should be .742 at 0.015 (`benchmarks/speed/bench_evalkit.py`).
     """
 
     slack = 0.0

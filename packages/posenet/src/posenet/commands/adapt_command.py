@@ -24,7 +24,8 @@ FILE = click.Path(path_type=Path)
 @click.argument("frames", type=FILE)
 @click.option(
     "-o",
-    "--out",
+    "--output",
+    "out",
     type=OutputFile(*MODELS),
     required=True,
     help="The new model's file; MODEL itself is never overwritten.",

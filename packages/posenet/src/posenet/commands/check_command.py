@@ -28,7 +28,13 @@ FILE = click.Path(path_type=Path)
 @click.option("--roi", help="Look only at these pixels: X0,Y0,X1,Y1.")
 @click.option("--max-images", type=click.IntRange(min=1), default=10, show_default=True, help="Spread over FRAMES.")
 @click.option(
-    "-o", "--out", type=OutputFile(*PAGES), default="check.html", show_default=True, help="The HTML page to write."
+    "-o",
+    "--output",
+    "out",
+    type=OutputFile(*PAGES),
+    default="check.html",
+    show_default=True,
+    help="The HTML page to write.",
 )
 @click.option(
     "--json", "json_path", type=OutputFile(*DOCUMENTS, document="binpose-check"), help="Write the figures here."

@@ -32,7 +32,9 @@ main.add_command(adapt)
 
 @main.command()
 @click.argument("shards", nargs=-1, type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/OBJECT-PRESET]")
+@click.option(
+    "-o", "--output", "out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/OBJECT-PRESET]"
+)
 @click.option("--preset", "preset_name", type=click.Choice(list(PRESETS)), default="small", show_default=True)
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Train for so long, in all.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Train for so many passes over the shards, in all.")
@@ -146,7 +148,8 @@ def _configured(preset_name: str, options: dict[str, Any]) -> Config:
 @click.argument("source", required=False, type=click.Path(path_type=Path))
 @click.option(
     "-o",
-    "--out",
+    "--output",
+    "out",
     type=OutputFile(*DOCUMENTS, ".csv", document="binpose-preds"),
     default="preds.json",
     show_default=True,
@@ -226,7 +229,7 @@ def info(model: Path, as_json: bool) -> None:
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("shards", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), default="figures", show_default=True)
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), default="figures", show_default=True)
 @click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the frame drawn on.")
 def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
     """Draw how MODEL works: its angle bins, one detection's hypotheses, and the registration's relation features.
@@ -242,7 +245,7 @@ def figures(model: Path, shards: Path, out: Path, frame: int) -> None:
 
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=OutputFile(".onnx"), default="model.onnx", show_default=True)
+@click.option("-o", "--output", "out", type=OutputFile(".onnx"), default="model.onnx", show_default=True)
 def export(model: Path, out: Path) -> None:
     """Write MODEL as ONNX, for what runs without Python.
 
@@ -259,7 +262,7 @@ def export(model: Path, out: Path) -> None:
 
 @main.command()
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=OutputFile(*MODELS), default="compact.pt", show_default=True)
+@click.option("-o", "--output", "out", type=OutputFile(*MODELS), default="compact.pt", show_default=True)
 def compact(model: Path, out: Path) -> None:
     """Write MODEL in a quarter of the bytes, to hand on: weights in 8 bits a row, else 16. Score it before you do."""
     from posenet.models.model_file import write_compact

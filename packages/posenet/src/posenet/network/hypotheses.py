@@ -114,8 +114,12 @@ def _regressed_mass(rotation: Tensor, codec: PoseCodec, logs: list[Tensor]) -> T
 
 def _thin(distance: Tensor, mass: Tensor, threshold: float, most: int) -> Tensor:
     """Greedy suppression, best first: distances (n, K, K), log-masses (n, K) sorted -> kept (n, K) bool."""
-    kept = torch.zeros_like(mass, dtype=torch.bool)
+    close, dropped = distance < threshold, mass == -math.inf
+    count = torch.zeros_like(mass[:, 0], dtype=torch.long)
+    kept = []
     for i in range(mass.shape[1]):
-        near_better = ((distance[:, i] < threshold) & kept).any(-1)
-        kept[:, i] = ~near_better & (mass[:, i] > -math.inf) & (kept.sum(-1) < most)
-    return kept
+        keep = ~dropped[:, i] & (count < most)
+        dropped = dropped | (close[:, :, i] & keep[:, None])
+        count = count + keep
+        kept.append(keep)
+    return torch.stack(kept, 1)

@@ -37,9 +37,7 @@ PIXELS_AT_ONCE = 1 << 21  # of the images that go through the network together
 class PredictedPoses:
     """The n poses found in one image, sorted by score, best first."""
 
-    cam_from_obj: NDArray[
-        np.float64
-    ]  # (n, 4, 4) meters, from the mesh's own frame to the camera's (x right, z forward)
+    cam_from_obj: NDArray[np.float64]  # (n, 4, 4) meters, the mesh's own frame to the camera's (x right, z forward)
     score: NDArray[np.float64]  # (n,) in [0, 1]
     boxes: NDArray[np.float64]  # (n, 4) x0, y0, x1, y1 of the detection each comes from, pixels
     detection: NDArray[np.int64]  # (n,) number of that detection: hypotheses of one detection have the same
@@ -69,8 +67,7 @@ class Predictor:
             limits = replace(own, nms_iou=REFINED_OVERLAP, least=max(REFINED_DETECTIONS, own.least))
             self.options = replace(self.options, detection=limits)
         self.device = next(network.parameters()).device
-        self.bf16 = layers_in_bf16(precision, self.device)
-        self.fast = fast_network(network, self.bf16)
+        self.fast = fast_network(network, layers_in_bf16(precision, self.device))
 
     @classmethod
     def load(
@@ -94,7 +91,7 @@ class Predictor:
     @property
     def precision(self) -> str:
         """What the layers run in: float32 or bfloat16."""
-        return "bfloat16" if self.bf16 else "float32"
+        return "bfloat16" if self.fast.bf16 else "float32"
 
     @property
     def model(self) -> ObjectModel:

@@ -199,7 +199,7 @@ def _hidden_from(depth, eye):  # type: ignore[no-untyped-def]
     return out
 
 
-@_compiled
+@_compiled  # as simgen.sensors.sensor has it: neither package imports the other, and evalkit compiles nothing
 def _put_patches(depth, middles, radii, away, out):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for i in range(len(middles)):

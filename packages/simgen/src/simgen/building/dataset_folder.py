@@ -89,7 +89,7 @@ def require_own_schema(folder: Path) -> None:
 
 @contextlib.contextmanager
 def no_leftovers(folder: Path, shards: range) -> Iterator[None]:
-    """Remove, before and after, what killed builds of these shards were writing: nobody else is at work on them."""
+    """Remove the temporary files of killed builds of these shards, before and after; the caller holds their locks."""
     _remove_leftovers(folder, shards)
     try:
         yield

@@ -1,8 +1,8 @@
-"""Who builds which shards of a folder: builds of other shards work side by side, also from other machines.
+"""Locks on the shards of a folder, so that several builds may fill it side by side, also from several machines.
 
-A shard is locked as the byte of its number in dataset.json, by the system, which drops the lock when the process ends,
-however it ends. Network file systems carry such locks from machine to machine; where one carries none, builds are
-told apart by --shards alone.
+The lock of shard n is a lock of the operating system on byte n of dataset.json, so it goes when the process ends,
+however it ends. Network file systems carry such locks from machine to machine; where one carries none, only --shards
+keeps builds apart.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def shards_locked(folder: Path, shards: range) -> Iterator[bool]:
     except OSError as error:
         if error.errno not in READ_ONLY:
             raise
-        yield False  # nobody can write here; what is missing will say so
+        yield False  # a folder that nobody can write; a missing shard will raise the error
         return
     try:
         yield _lock(handle, folder, shards)

@@ -19,7 +19,7 @@ from simgen.config import RENDERERS, BuildConfig
 from simgen.config_sections import DistractorConfig
 from simgen.presets import PHYSICS, PRESETS, default_camera
 from simgen.rendering.measured_table import read_table
-from simgen.sensors.sensor_config import parse_sensor
+from simgen.sensors.sensor_text import parse_sensor
 
 MOST_METERS = 50.0  # farther off is no camera of bins; millimeters would be
 DEFAULT_SHARE = 0.3  # of distractors

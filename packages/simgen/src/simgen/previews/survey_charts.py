@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from evalkit.drawing.chart import Chart, binned_rows
-from evalkit.drawing.plots import GRAY, INK, LINE, tidy
+from evalkit.drawing.plots import GRAY, INK, LINE, legend_below, tidy
 from simgen.previews.survey import CLEAR, Survey
 
 VISIBILITY_BINS, ANGLE_BINS = 20, 18
@@ -56,7 +56,7 @@ def instances(found: Survey) -> Chart:
         axes.set(xlabel="instances", ylabel="share of scenes, of frames")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         tidy(axes)
-        axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+        legend_below(axes)
 
     return Chart(
         name="instances",
@@ -81,7 +81,7 @@ def depth(found: Survey) -> Chart:
             axes.stairs(counts, edges, color=color, linewidth=1.6, label=label)
         axes.set(xlabel="depth, mm", ylabel="pixels")
         tidy(axes)
-        axes.legend(frameon=False)
+        legend_below(axes)
 
     return Chart(
         name="depth",
@@ -106,7 +106,7 @@ def tilt(found: Survey, symmetry: str) -> Chart:
         axes.set(xlim=(0, 180), xticks=range(0, 181, 30), ylabel="instances")
         axes.set(xlabel=f"angle between the object's {axis} and the vertical, degrees")
         tidy(axes)
-        axes.legend(frameon=False)
+        legend_below(axes)
 
     return Chart(
         name="tilt",

@@ -12,19 +12,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry import poses
 from evalkit.geometry.camera import Camera
+from simgen.compiled import compiled
 from simgen.rendering.outward import faces_outward
 from simgen.rendering.triangles import GUARD, draw_clipped, draw_tame
 
 BEYOND_FRAME = 1  # what is larger than the frame is counted this many frames beyond each border
 NEAR_PER_EXTENT = 1e-3  # near plane, as a share of the mesh's extent
 NOTHING = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))  # a mesh without faces
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ def _as_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[N
     return np.array(vertices, np.float64, order="C"), np.array(faces, np.uint32, order="C")
 
 
-@_compiled
+@compiled
 def _composite(window, box, identity, nearness, ids, box_full):  # type: ignore[no-untyped-def]
     """Count the window's silhouette, empty it, and put what is nearest into the frame; its pixels."""
     height, width = nearness.shape
@@ -133,7 +132,7 @@ def _composite(window, box, identity, nearness, ids, box_full):  # type: ignore[
     return total
 
 
-@_compiled
+@compiled
 def _inverted(nearness):  # type: ignore[no-untyped-def]
     depth = np.zeros_like(nearness)
     for v in range(nearness.shape[0]):

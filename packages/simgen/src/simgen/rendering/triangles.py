@@ -6,17 +6,17 @@ neither leave a gap nor share a pixel. Pixels are sampled at their centers; 1/z 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from simgen.compiled import compiled
 
 BITS = 12
 SUBPIXEL = 1 << BITS
 GUARD = float(1 << 17)  # pixels; triangles are clipped there, so that snapped coordinates fit 32 bits, edges 64
 WIDE = 16  # pixels; in triangles at least as wide, each row's ends are solved for instead of searched
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
-@_compiled
+@compiled
 def draw_tame(vertices, faces, cam_from_obj, intrinsics, cull, window, out):  # type: ignore[no-untyped-def]
     """Draw 1/z of a mesh that needs no clipping into `out`; returns the box of pixels whose corner is `out[0, 0]`.
 
@@ -33,7 +33,7 @@ def draw_tame(vertices, faces, cam_from_obj, intrinsics, cull, window, out):  # 
     return box
 
 
-@_compiled
+@compiled
 def draw_clipped(vertices, faces, cam_from_mesh, intrinsics, near, cull, window, out):  # type: ignore[no-untyped-def]
     """Draw 1/z of the part of a mesh before the near plane and within the guard band; `out` covers all of `window`."""
     fx, fy, cx, cy = intrinsics
@@ -57,7 +57,7 @@ def draw_clipped(vertices, faces, cam_from_mesh, intrinsics, near, cull, window,
     return window
 
 
-@_compiled
+@compiled
 def _project(vertices, cam_from_obj, intrinsics, xs, ys, nearness):  # type: ignore[no-untyped-def]
     """Fill in snapped image coordinates and 1/z; returns the box of pixels that they span."""
     fx, fy, cx, cy = intrinsics
@@ -72,32 +72,32 @@ def _project(vertices, cam_from_obj, intrinsics, xs, ys, nearness):  # type: ign
     return _first_pixel(x0), _first_pixel(y0), _last_pixel(x1) + 1, _last_pixel(y1) + 1
 
 
-@_compiled
+@compiled
 def _row(transform, k, x, y, z):  # type: ignore[no-untyped-def]
     return transform[k, 0] * x + transform[k, 1] * y + transform[k, 2] * z + transform[k, 3]
 
 
-@_compiled
+@compiled
 def _snap(pixels):  # type: ignore[no-untyped-def]
     return np.int32(np.floor(pixels * SUBPIXEL + 0.5))
 
 
-@_compiled
+@compiled
 def _first_pixel(snapped):  # type: ignore[no-untyped-def]
     return np.int64((snapped + (SUBPIXEL - 1)) >> BITS)
 
 
-@_compiled
+@compiled
 def _last_pixel(snapped):  # type: ignore[no-untyped-def]
     return np.int64(snapped >> BITS)
 
 
-@_compiled
+@compiled
 def _intersection(box, window):  # type: ignore[no-untyped-def]
     return max(box[0], window[0]), max(box[1], window[1]), min(box[2], window[2]), min(box[3], window[3])
 
 
-@_compiled
+@compiled
 def _fill(ax, ay, aw, bx, by, bw, dx, dy, dw, cull, box, out):  # type: ignore[no-untyped-def]
     """Where `out` is smaller, put 1/z of the triangle whose corners are (x, y snapped, w = 1/z)."""
     area = np.int64(bx - ax) * np.int64(dy - ay) - np.int64(dx - ax) * np.int64(by - ay)
@@ -137,7 +137,7 @@ def _fill(ax, ay, aw, bx, by, bw, dx, dy, dw, cull, box, out):  # type: ignore[n
         e_ab, e_bd, e_da = e_ab + ab_v, e_bd + bd_v, e_da + da_v
 
 
-@_compiled
+@compiled
 def _narrowed(first, last, start, value, step):  # type: ignore[no-untyped-def]
     """The pixels of first .. last where value + step * (u - start) is not negative."""
     if step > 0:
@@ -147,14 +147,14 @@ def _narrowed(first, last, start, value, step):  # type: ignore[no-untyped-def]
     return first, last if value >= 0 else first - 1
 
 
-@_compiled
+@compiled
 def _edge(ax, ay, bx, by, u, v):  # type: ignore[no-untyped-def]
     """Twice the area of a, b and the center of pixel (u, v); a pixel on the edge belongs to top and left edges only."""
     value = np.int64(bx - ax) * ((v << BITS) - ay) - np.int64(by - ay) * ((u << BITS) - ax)
     return value if by < ay or (by == ay and bx > ax) else value - 1
 
 
-@_compiled
+@compiled
 def _clip(polygon, cut, intrinsics, near):  # type: ignore[no-untyped-def]
     """Cut the triangle in `polygon` at near plane and guard band (Sutherland and Hodgman 1974); its corners left."""
     fx, fy, cx, cy = intrinsics

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evalkit.drawing.chart import Chart
 from evalkit.drawing.page import render_page
-from evalkit.drawing.plots import GRAY, INK, LINE, new_figure, tidy
+from evalkit.drawing.plots import GRAY, INK, LINE, legend_below, new_figure, tidy
 from simgen.scenes.software import rendering_software
 from simgen.sensor_fit.fit import FittedSensor
 from simgen.sensor_fit.frames import FitFrames
@@ -147,6 +147,6 @@ def _drawer(x: ArrayLike, real: Array, twin: Array, across: str, up: str) -> Cal
         if across.startswith("pixels"):
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         tidy(axes)
-        axes.legend(frameon=False)
+        legend_below(axes)
 
     return draw

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from evalkit.geometry.camera import Camera
+from simgen.compiled import compiled
 
 RADIUS = 3  # pixels, of the window in which a quadric is fitted
 STEP = 6.0  # slope (80.5 degrees) between neighbors from which on a step lies between them
@@ -27,7 +27,6 @@ LEAST_POINTS = 10  # of a window, to fit a plane
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +107,7 @@ def _quadric_weights(radius: int) -> NDArray[np.float64]:
     return np.asarray(np.linalg.pinv(design)[0].reshape(2 * radius + 1, -1))
 
 
-@_compiled
+@compiled
 def _small_pieces(q, scale, least):  # type: ignore[no-untyped-def]
     """Pixels (H, W) of pieces with fewer than `least` pixels; steps are where |dq| * scale exceeds the farther q."""
     height, width = q.shape
@@ -141,7 +140,7 @@ def _small_pieces(q, scale, least):  # type: ignore[no-untyped-def]
     return small
 
 
-@_compiled
+@compiled
 def _smoothed(filled, kept, fx, weights):  # type: ignore[no-untyped-def]
     """The middle of what fits each window's pixels of one surface: a quadric where all are, else a plane."""
     height, width = filled.shape

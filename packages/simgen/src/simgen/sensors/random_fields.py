@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from simgen.compiled import compiled
 
 FAILURE_BLUR = 2.5  # pixels; failures are where a field so smooth is lowest
 # White noise plus two blurs of it, whose correlation is 0.63 / 0.44 / 0.32 / 0.17 at 1 / 2 / 3 / 5 pixels (DESIGN.md)
 NOISE_BLURS = ((2.5, 1.0), (9.5, 3.1))  # weight, standard deviation in pixels
 
 Image = NDArray[np.float32]
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def matching_noise(shape: tuple[int, ...], rng: np.random.Generator, stretch: float = 1.0) -> Image:
@@ -57,7 +57,7 @@ def _taps(deviation: float) -> NDArray[np.float32]:
     return (window / window.sum()).astype(np.float32)
 
 
-@_compiled
+@compiled
 def _add_blurred(field, taps, margin, weight, out):  # type: ignore[no-untyped-def]
     """Add to `out` (H, W) `weight` times `field` (H + 2 margin, W + 2 margin) convolved with `taps` both ways.
 
@@ -80,14 +80,14 @@ def _add_blurred(field, taps, margin, weight, out):  # type: ignore[no-untyped-d
             _add_one(out[v], taps[k], along[v + k])
 
 
-@_compiled
+@compiled
 def _add_four(out, taps, a, b, c, d):  # type: ignore[no-untyped-def]
     ta, tb, tc, td = taps[0], taps[1], taps[2], taps[3]
     for u in range(len(out)):
         out[u] = out[u] + ta * a[u] + tb * b[u] + tc * c[u] + td * d[u]
 
 
-@_compiled
+@compiled
 def _add_one(out, tap, line):  # type: ignore[no-untyped-def]
     for u in range(len(out)):
         out[u] += tap * line[u]

@@ -21,11 +21,11 @@ from __future__ import annotations
 import math
 from statistics import NormalDist
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.geometry.camera import Camera
+from simgen.compiled import compiled
 from simgen.sensors.random_fields import failure_field, matching_noise
 from simgen.sensors.sensor_config import SensorConfig
 from simgen.sensors.surfaces import apparent, lost_by_incidence
@@ -37,7 +37,6 @@ PATCH_RADIUS = (2.0, 5.0)  # pixels, of wrong patches
 PATCH_JUMP = 4.0  # pixels beyond its own rim from which a wrong patch may have its disparity
 
 Image = NDArray[np.float32]
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def sensor_generator(seed: int, scene: int, view: int) -> np.random.Generator:
@@ -89,7 +88,7 @@ def _quantile(share: float) -> float:
     return NormalDist().inv_cdf(share)
 
 
-@_compiled
+@compiled
 def disparities(depth, scale):  # type: ignore[no-untyped-def]
     """`scale` / depth (H, W), 0 where there is nothing."""
     out = np.zeros(depth.shape, np.float32)
@@ -100,7 +99,7 @@ def disparities(depth, scale):  # type: ignore[no-untyped-def]
     return out
 
 
-@_compiled
+@compiled
 def distance_to_step(disparity, step):  # type: ignore[no-untyped-def]
     """Chessboard distance in pixels (H, W) to the other side of the nearest step, at most EDGE_REACH + 1.
 
@@ -134,7 +133,7 @@ def distance_to_step(disparity, step):  # type: ignore[no-untyped-def]
     return out
 
 
-@_compiled
+@compiled
 def shadows(disparity):  # type: ignore[no-untyped-def]
     """Where the second eye, on the right, sees something nearer instead (H, W).
 
@@ -172,7 +171,7 @@ def wrong_patches(disparity: Image, to_step: NDArray[np.uint8], share: float, rn
     return out
 
 
-@_compiled
+@compiled
 def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for i in range(len(middles)):
@@ -187,7 +186,7 @@ def _put_patches(disparity, middles, radii, offsets, out):  # type: ignore[no-un
                     out[v, u] = value
 
 
-@_compiled
+@compiled
 def _measured(disparity, seen, to_step, hidden, wrong, noise, failure, limits, shadow, slopes, amount, scale):  # type: ignore[no-untyped-def]
     """Depth in meters (H, W) from true and wrong disparities, unit noise and where matching fails."""
     height, width = disparity.shape
@@ -221,7 +220,7 @@ def _measured(disparity, seen, to_step, hidden, wrong, noise, failure, limits, s
     return out
 
 
-@_compiled
+@compiled
 def _neighbors(pixel, count):  # type: ignore[no-untyped-def]
     """The pixels before and after in a row or column; at either end twice the same."""
     before, after = pixel - 1, pixel + 1
@@ -232,7 +231,7 @@ def _neighbors(pixel, count):  # type: ignore[no-untyped-def]
     return before, after
 
 
-@_compiled
+@compiled
 def _gentler(before, here, after):  # type: ignore[no-untyped-def]
     """The smaller of the two differences, so that a step beside the pixel does not count as its slope."""
     return min(abs(here - before), abs(after - here))

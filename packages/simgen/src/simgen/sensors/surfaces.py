@@ -18,17 +18,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simgen.compiled import compiled
 from simgen.sensors.sensor_config import SensorConfig
 
 REFRACTION = 1.5  # of plastics and glass
 DEEPEST = 3.0  # times the penetration
 
 Image = NDArray[np.float32]
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def lost_by_incidence(sensor: SensorConfig) -> NDArray[np.float64]:
@@ -56,7 +55,7 @@ def apparent(disparity: Image, scale: float, focal: tuple[float, float], sensor:
     return np.asarray(_apparent(disparity, scale, *focal, *amounts))
 
 
-@_compiled
+@compiled
 def _apparent(disparity, scale, fx, fy, mirror, most, penetration):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     out = disparity.copy()

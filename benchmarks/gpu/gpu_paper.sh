@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # From a scenes file to AP on one machine with a GPU: renders, trains in pieces, predicts, scores, prints one table.
 #
-#   benchmarks/gpu_paper.sh [OUT]          run it again until it says "done": every piece goes on where the last ended
+#   benchmarks/gpu/gpu_paper.sh [OUT]          run it again until it says "done": every piece goes on where the last ended
 #
 # Physics needs PyBullet and 2 MB hold its result, so that the scenes may come from another machine:
 #   simgen simulate --object bunny --scenes 2000 -o OUT/train.h5;  simgen simulate ... --seed 1000 -o OUT/test.h5
@@ -10,7 +10,7 @@
 # Environment: PRESET (paper), DEVICE (cuda), SCENES (2000), VIEWS (17), TEST_SCENES (40), MINUTES of training (60),
 # PIECE seconds of training a call (540), BATCH images (32), RATE peak learning rate (1e-4), SENSOR (ideal), DATA (default),
 # FIT further options of `posenet fit`. Tried whole without a GPU:
-#   PRESET=debug DEVICE=cpu DATA=debug SCENES=8 VIEWS=4 TEST_SCENES=4 MINUTES=0.5 BATCH=4 RATE=2e-3 benchmarks/gpu_paper.sh
+#   PRESET=debug DEVICE=cpu DATA=debug SCENES=8 VIEWS=4 TEST_SCENES=4 MINUTES=0.5 BATCH=4 RATE=2e-3 benchmarks/gpu/gpu_paper.sh
 set -euo pipefail
 out=${1:-runs/gpu-paper}
 preset=${PRESET:-paper} device=${DEVICE:-cuda} data=${DATA:-default} sensor=${SENSOR:-ideal}

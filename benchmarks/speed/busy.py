@@ -1,6 +1,6 @@
 """How prediction fares on a busy machine: time an image, with free cores and beside other programs, before and after.
 
-    python benchmarks/busy.py [MODEL] [--images 30] [--busy 1] [--threads 2]
+    python benchmarks/speed/busy.py [MODEL] [--images 30] [--busy 1] [--threads 2]
 
 "Before" is OpenMP's own way of waiting (threads spin for milliseconds), "after" posenet's (see `posenet.threads`); a
 third row has one thread, which waits for nobody. The rows are run in turn, twice, and the better median counts.
@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-MODEL = Path(__file__).parents[1] / "data" / "models" / "bunny-stereo.pt"
+MODEL = Path(__file__).parents[2] / "data" / "models" / "bunny-stereo.pt"
 ROUNDS = 2
 WARM_UP = 3
 SPIN = "while True: pass"

@@ -1,6 +1,6 @@
 """How fast posenet trains and predicts, stage by stage, on this machine.
 
-    python benchmarks/bench_posenet.py [--preset all] [--steps 12] [--refine-poses 100]
+    python benchmarks/speed/bench_posenet.py [--preset all] [--steps 12] [--refine-poses 100]
 
 Data are simulated bunnies of the resolution that each preset is made for: 320 x 240 (`simgen build --preset demo`), and
 640 x 480 for `paper` (`--preset default`), whose steps take seconds on a CPU, so that it takes fewer. Times are medians

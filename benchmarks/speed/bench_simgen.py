@@ -1,7 +1,7 @@
 """How fast simgen builds, stage by stage, beside others on the same frames, and how good its piles are.
 
-    python benchmarks/bench_simgen.py [--object bunny] [--faces 5000] [--scenes 8] [--views 17] [--peer-frames 3]
-    python benchmarks/bench_simgen.py --instances 15,40,80,150 [--physics rapier]
+    python benchmarks/speed/bench_simgen.py [--object bunny] [--faces 5000] [--scenes 8] [--views 17] [--peer-frames 3]
+    python benchmarks/speed/bench_simgen.py --instances 15,40,80,150 [--physics rapier]
 
 Times are CPU times of one core, the least of `--repeats` measurements of each scene or frame, so that other work on the
 machine does not count. A worker process of its own does what a worker of `simgen build` does, and tells its memory.

@@ -1,6 +1,6 @@
 """How fast evalkit scores: the reference scenes against the plain protocol, one command, and a million hypotheses.
 
-python benchmarks/bench_evalkit.py [--images 34000]
+python benchmarks/speed/bench_evalkit.py [--images 34000]
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from evalkit.geometry import poses
 from evalkit.objects.model import ObjectModel
 from evalkit.scoring.distances import Sym, SymToolbox
 
-HERE = Path(__file__).resolve().parent
-REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", HERE.parents[1] / "shared" / "reference"))
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", ROOT.parent / "shared" / "reference"))
 INSTANCES, HYPOTHESES, FALSE_ALARMS = 15, 30, 8  # an image
 ENOUGH_S = 0.5  # a measurement repeats until it has lasted so long
 
@@ -147,7 +147,7 @@ def box(*sides: float) -> tuple[list[list[float]], list[tuple[int, int, int]]]:
 
 
 def score_plainly(predictions: Predictions, truth: GroundTruth) -> float:
-    plain = runpy.run_path(str(HERE.parent / "tests" / "evalkit" / "reference_protocol.py"))
+    plain = runpy.run_path(str(ROOT / "tests" / "evalkit" / "reference_protocol.py"))
     found = {image.id: image for image in predictions.images}
     scenes = [
         (

@@ -1,6 +1,6 @@
 """The table at the end of gpu_paper.sh: AP, images a second, minutes, milliseconds an image, share of the matrix peak.
 
-    python benchmarks/training_table.py OUT [--device cuda]
+    python benchmarks/gpu/training_table.py OUT [--device cuda]
 
 The peak is what this machine reaches in one large matrix product of the training's precision, not a data sheet's.
 """

@@ -1,6 +1,6 @@
 """What `simgen object` understands of CAD parts whose truth is known, in every format: a table.
 
-    python benchmarks/cad_table.py [--parts shaft,flange] [--formats stl,glb] [--folder FOLDER] [--convex]
+    python benchmarks/cad/cad_table.py [--parts shaft,flange] [--formats stl,glb] [--folder FOLDER] [--convex]
 
 A cell is `ok`, or what differs from the truth: the sides of the bounding box (0.1 %), the volume (1 %), whether the
 mesh is closed, how many bodies it has, the symmetry group, and its main axis (2 degrees).

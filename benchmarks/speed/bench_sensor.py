@@ -4,7 +4,7 @@ That bunny's noise is a simulated block-matching camera's, published with the da
 docs/own-camera.md. The three Siléane bunny scenes are rendered at their ground-truth poses with their camera, 1.3 m
 off, as there; where the reference data is missing, heaps of random bunnies stand in. Time is CPU time.
 
-python benchmarks/bench_sensor.py [--sensor stereo,baseline=0.1] [--repeats 5] [--picture sensor.png]
+python benchmarks/speed/bench_sensor.py [--sensor stereo,baseline=0.1] [--repeats 5] [--picture sensor.png]
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from simgen.objects.builtin import BUILTIN_OBJECTS
 from simgen.presets import default_camera
 from simgen.rendering.rasterizer import Rasterizer, Rendering
 from simgen.sensors.sensor import measure
-from simgen.sensors.sensor_config import SensorConfig, parse_sensor
+from simgen.sensors.sensor_config import SensorConfig
+from simgen.sensors.sensor_text import parse_sensor
 
-REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", Path(__file__).resolve().parents[2] / "shared" / "reference"))
+REFERENCE = Path(os.environ.get("BINPOSE_REFERENCE", Path(__file__).resolve().parents[3] / "shared" / "reference"))
 SLOPES = ((0, 31), (31, 45), (45, 60), (60, 72))  # degrees
 LAGS = (1, 2, 3, 5)  # pixels
 STEP, FAR_FROM_STEP, CLOSE = 0.020, 10, 4  # meters; pixels

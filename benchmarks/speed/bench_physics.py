@@ -1,6 +1,6 @@
 """Piles by each physics engine, side by side: what they cost, how still and how deep in each other they lie.
 
-    python benchmarks/bench_physics.py [--objects bunny,candlestick,gear,brick] [--instances 10-20] [--scenes 12]
+    python benchmarks/speed/bench_physics.py [--objects bunny,candlestick,gear,brick] [--instances 10-20] [--scenes 12]
                                        [--physics pybullet,rapier]
 
 CPU seconds of one core, drops that were thrown away included. The engines take turns scene by scene, so that other work
