@@ -1,7 +1,7 @@
 """What two builds of this project make of the same minutes: AP of the network alone against minutes of training.
 
-    python benchmarks/speedrun.py ../before/.venv/bin                      # that build against the one that runs this
-    python benchmarks/speedrun.py ../before/.venv/bin --minutes 5 10 20 45 --until 0.95
+    python benchmarks/speed/speedrun.py ../before/.venv/bin          # that build against the one that runs this
+    python benchmarks/speed/speedrun.py ../before/.venv/bin --minutes 5 10 20 45 --until 0.95
 
 The builds train in turn on the same shards and are scored on the same images of other scenes by this build's evalkit.
 The older one writes the shards, for a newer one reads them. Each point of the curve is a training of its own, with the
