@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--test-scenes", type=int, default=TEST_SCENES)
     parser.add_argument("--epochs", type=int, default=8, help="of each training, so that all see as many images")
     parser.add_argument("--seeds", default="0,1", help="of training")
-    parser.add_argument("--out", type=Path, default=Path("runs/cross-engine"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/cross-engine"))
     options = parser.parse_args()
     for engine in PHYSICS:
         build(options, engine, "train", options.scenes, options.views, 0)

@@ -35,7 +35,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--models", type=Path, nargs="+", required=True, help="a trained network for each folder")
     parser.add_argument("--images", type=int, default=400, help="of each folder, evenly spread over it (400)")
     parser.add_argument("--refined", type=int, default=100, help="of these, images to refine as well (100)")
-    parser.add_argument("--out", type=Path, default=Path("runs/precision"))
+    parser.add_argument("-o", "--output", dest="out", type=Path, default=Path("runs/precision"))
     options = parser.parse_args(words)
     if len(options.models) != len(options.shards):
         raise InputError(

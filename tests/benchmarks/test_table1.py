@@ -82,7 +82,7 @@ def test_a_cell_that_fails_leaves_the_others_to_go_on(table1, monkeypatch, tmp_p
         return FIGURES
 
     monkeypatch.setattr(table1.Night, "measured", measured)
-    words = ["--out", str(tmp_path), "--rows", "PPF"]
+    words = ["-o", str(tmp_path), "--rows", "PPF"]
     with pytest.raises(InputError, match="3 cells failed"):
         table1.main(words)
     text = (tmp_path / "table1.md").read_text()
