@@ -18,6 +18,7 @@ BRITISH = re.compile(
 )
 IN_FILES_ALREADY = (
     "registration_neighbours",
+    '"metre"',
     '"metres"',
     ".METRE.",
     '"colour"',
