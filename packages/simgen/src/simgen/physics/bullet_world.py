@@ -125,6 +125,7 @@ class BulletWorld(World):
             angularDamping=self.config.angular_damping,
             restitution=0.0,
             collisionMargin=self.config.contact_margin,
+            frictionAnchor=1,  # or contacts drift, until what stands unsteadily tips over after all
             physicsClientId=self._client,
         )
         return int(body)
