@@ -59,5 +59,7 @@ def test_after_predictions_comes_the_ground_truth_where_there_is_one(capsys: pyt
     assert "Next: evalkit gt test -o out/gt.json" in capsys.readouterr().err
     after_predict(Path("bunny"), Path("preds.json"), "sileane", drawn=False)
     assert "Next: evalkit gt --from sileane bunny -o gt.json" in capsys.readouterr().err
+    after_predict(Path("set/test"), Path("preds.json"), "bop", False, ("--mesh-frame",))
+    assert "Next: evalkit gt --from bop set/test --mesh-frame -o gt.json" in capsys.readouterr().err
     after_predict(Path("depth.png"), Path("preds.json"), None, drawn=True)
     assert capsys.readouterr().err == ""

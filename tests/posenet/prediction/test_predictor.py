@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -283,3 +284,24 @@ def test_predictions_are_written_as_bops_results_with_the_object_numbered_by_the
     with pytest.raises(InputError, match="--object-id"):
         predict(run_folder, open_source(debug_shards), tmp_path / "none.csv", device="cpu")
     assert not (tmp_path / "none.csv").exists()
+
+
+def test_results_on_an_exported_set_are_of_its_models_whose_origin_is_moved(
+    run_folder: Path, debug_shards: Path, tmp_path: Path, run_command: Callable[..., Any]
+) -> None:
+    from evalkit.adapters.bop import results
+    from evalkit.adapters.bop.dataset import read_ground_truth
+    from posenet.commands.predict import predict
+
+    exported = tmp_path / "set"
+    assert run_command("simgen", "export", "bop", debug_shards, exported).returncode == 0
+    source = open_source(exported / "test")
+    assert source.truth_options == ("--mesh-frame",)
+    predict(run_folder, source, tmp_path / "preds.json", device="cpu", max_images=1)
+    predict(run_folder, source, tmp_path / "results.csv", device="cpu", max_images=1, object_id=1)
+    of_mesh = next(image for image in read_predictions(tmp_path / "preds.json").images if len(image.score))
+    of_bop = results.read_predictions(tmp_path / "results.csv", object_id=1).images[0]
+    models = [read_ground_truth(exported / "test", mesh_frame=frame).object for frame in (True, False)]
+    assert np.linalg.norm(models[0].centroid - models[1].centroid) > 1e-3
+    centers = [model.centers(image.cam_from_obj) for model, image in zip(models, (of_mesh, of_bop), strict=True)]
+    np.testing.assert_allclose(centers[0], centers[1], atol=1e-6)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.bop import dataset as bop
+from evalkit.adapters.bop.mesh_frame import stated_origins
 from evalkit.adapters.sileane import dataset as sileane
 from evalkit.datasets.shard_folder import DATASET_FILE, ShardDataset
 from evalkit.depth import point_cloud, stored
@@ -36,6 +37,8 @@ class DepthSource:
     Attributes:
         remarks: sentences on what was chosen and applied.
         truth: what `evalkit gt --from` reads the source's ground truth by, None where it has none.
+        truth_options: what else to tell it.
+        models_info: of a set by `simgen export bop`, the file that says where its models' origins lie in their meshes.
         model: the object that the images show, where the source says so.
     """
 
@@ -46,6 +49,8 @@ class DepthSource:
     remarks: tuple[str, ...] = ()
     truth: str | None = None
     model: ObjectModel | None = None
+    truth_options: tuple[str, ...] = ()
+    models_info: Path | None = None
 
     @property
     def camera(self) -> Camera:
@@ -169,15 +174,21 @@ def open_bop(path: Path, targets: Path | None = None, sensor: str | None = None)
     Raises:
         InputError: a file is missing or is not what it should be.
     """
-    images = list(bop.depth_images(_split_of(path, targets), sensor=sensor, targets=targets))
+    split = _split_of(path, targets)
+    images = list(bop.depth_images(split, sensor=sensor, targets=targets))
     if not images:
         raise InputError(f"{path}: holds none of the images that {targets} lists; give the split that it is of.")
+    origins = stated_origins(split)
+    given = {"--targets": targets, "--sensor": sensor}
+    options = [str(word) for option, value in given.items() if value is not None for word in (option, value)]
     return DepthSource(
-        path,
+        split,
         [image.id for image in images],
         [image.camera for image in images],
         lambda number: images[number].read().astype(np.float32),
         truth="bop",
+        truth_options=(*options, *(["--mesh-frame"] if origins is not None else [])),
+        models_info=origins,
     )
 
 

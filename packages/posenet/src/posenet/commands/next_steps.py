@@ -28,11 +28,11 @@ def after_fit(run: Path, shards: list[Path]) -> None:
     suggest_next("simgen", "build", "--like", training, "--seed", str(seed), *size, "-o", TEST_FOLDER)
 
 
-def after_predict(path: Path, out: Path, truth: str | None, drawn: bool) -> None:
-    """The ground truth, where the images have it; else a look at the poses."""
+def after_predict(path: Path, out: Path, truth: str | None, drawn: bool, options: tuple[str, ...] = ()) -> None:
+    """The ground truth, where the images have it, read with `options`; else a look at the poses."""
     if truth is not None and out.suffix.lower() != ".csv":
         kind = [] if truth == "shards" else ["--from", truth]
-        suggest_next("evalkit", "gt", *kind, path, "-o", out.with_name("gt.json"))
+        suggest_next("evalkit", "gt", *kind, path, *options, "-o", out.with_name("gt.json"))
     elif truth is None and not drawn:
         suggest_next("posenet", *sys.argv[1:], "--picture", out.with_suffix(".png"))
 

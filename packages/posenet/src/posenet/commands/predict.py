@@ -8,13 +8,17 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 
+import click
+import numpy as np
 from tqdm import tqdm
 
 from evalkit.adapters.bop import results as bop_results
+from evalkit.adapters.bop.mesh_frame import read_origin
 from evalkit.datasets.documents import write_predictions
 from evalkit.depth.sources import DepthSource
 from evalkit.errors import InputError
 from evalkit.geometry.camera import Camera
+from evalkit.objects.model import ObjectModel
 from posenet.commands.next_steps import after_predict
 from posenet.network.predict_options import PredictOptions
 from posenet.prediction.area_of_interest import AreaOfInterest
@@ -23,6 +27,7 @@ from posenet.prediction.predictor import PredictedPoses, Predictor, predict_toge
 
 BATCH = 4
 _SAFE = re.compile(r"[^\w.-]+")
+SAME_ORIGIN = 0.01  # diameters
 
 Found = list[tuple[str, PredictedPoses]]
 
@@ -69,14 +74,17 @@ def predict(
     for each, file, images in zip(predictors, outs, parts, strict=True):
         document = to_document(each.model, iter(images))
         if _is_bop_csv(file):
-            bop_results.write_predictions(file, document, object_id=object_id)
+            origins = source.models_info if _is_of_its_mesh(source.models_info, each.model, object_id) else None
+            remark = bop_results.write_predictions(file, document, object_id=object_id, models_info=origins)
+            if remark:
+                click.echo(f"Note: {remark}", err=True)
         else:
             write_predictions(file, document)
     if picture is not None and found:
         camera = source.cameras[numbers[0]]
         depth = source.depth(numbers[0])
         write_picture(picture, draw_predictions(depth, camera, predictor.model, found[0][1][0], picture_score))
-    after_predict(source.path, out, source.truth, drawn=picture is not None)
+    after_predict(source.path, out, source.truth, picture is not None, source.truth_options)
     lines = [_summary(file, images) for file, images in zip(outs, parts, strict=True)]
     return "\n".join(f"{line}, layers in {predictor.precision}" for line in lines)
 
@@ -135,6 +143,15 @@ def _require_bop_ids(out: Path, source: DepthSource, name: str, object_id: int |
             f"{out}: BOP knows images by scene and number, and '{strange}' has none; give a BOP dataset, or end the "
             "name in .json."
         )
+
+
+def _is_of_its_mesh(models_info: Path | None, model: ObjectModel, object_id: int | None) -> bool:
+    """Whether a model's frame is that of the mesh from which the set's own, centered model was made."""
+    name = bop_results.OBJECT_NAME.fullmatch(model.name)
+    number = int(name[1]) if object_id is None and name is not None else object_id
+    if models_info is None or model.box_center is None or number is None:
+        return False
+    return float(np.linalg.norm(read_origin(models_info, number) - model.box_center)) < SAME_ORIGIN * model.diameter
 
 
 def _require_writable(folder: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.adapters.bop.object import METERS
+from evalkit.adapters.bop.scenes import dataset_folder
 from evalkit.adapters.fields import numbers
 from evalkit.datasets.documents import GroundTruth, Predictions
 from evalkit.errors import InputError
@@ -38,6 +39,16 @@ def read_origin(models_info: Path, object_id: int) -> Array:
             "'simgen export bop' wrote, or leave poses in BOP's frame."
         )
     return numbers(entry, ORIGIN, (3,), f"{models_info}: object '{object_id}'") * METERS
+
+
+def stated_origins(split: Path) -> Path | None:
+    """The models_info.json of a split or scene that states where origins lie in meshes; None where none does."""
+    dataset = dataset_folder(split / "scene")
+    for path in [] if dataset is None else sorted(dataset.glob("models*/models_info.json")):
+        document = load_json(path)
+        if isinstance(document, dict) and any(isinstance(of, dict) and ORIGIN in of for of in document.values()):
+            return path
+    return None
 
 
 def truth_in_mesh_frame(truth: GroundTruth, origin: Array) -> GroundTruth:
