@@ -90,6 +90,7 @@ class TrainConfig:
     # Instances of less returned visibility do not train: of what the sensor lost, nothing in the image speaks.
     min_visibility: float = 0.2
     box_jitter: float = 0.08  # of a box's side, uniform
+    cut_frames: bool = True  # most steps show parts of their images, whose edges cut objects
     # Errors of depth cameras drawn on the fly, half as large on shards that have a camera's already; both 0: none.
     augment_noise: float = 0.015  # largest standard deviation of depth, and step of it, in diameters
     augment_holes: float = 0.05  # largest share of holes on smooth surface
@@ -142,7 +143,7 @@ class Config:
 # What files say that were written before there was a choice.
 _BEFORE: dict[str, dict[str, Any]] = {
     "network": {"crop_widths": (32, 64, 64), "crop_layers": 1},
-    "train": {"object_pixels": 0.0, "images": 0, "validations": 4, "reference_jitter": 0.0},
+    "train": {"object_pixels": 0.0, "images": 0, "validations": 4, "cut_frames": False, "reference_jitter": 0.0},
 }
 
 
@@ -186,6 +187,7 @@ def paper() -> Config:
         TrainConfig(
             batch_images=1,
             object_pixels=0.0,
+            cut_frames=False,
             augment_noise=0.0,
             augment_holes=0.0,
             reference_jitter=0.0,
@@ -220,6 +222,7 @@ def debug() -> Config:
         train=TrainConfig(
             batch_images=4,
             box_jitter=0.04,
+            cut_frames=False,
             augment_noise=0.0,
             augment_holes=0.0,
             reference_jitter=0.0,

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from posenet.adaptation.labeled_image import LabeledImage
+from posenet.augmentation.depth_errors import Degradation, degrade
 from posenet.config import TrainConfig
 from posenet.network.depth_input import intrinsics_of
 from posenet.network.targets import Batch
-from posenet.training.augment import Degradation, degrade
 from posenet.training.dataset import step_seeds
 
 ZOOM = 1.15  # at most, in and out

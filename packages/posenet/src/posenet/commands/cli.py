@@ -66,6 +66,11 @@ main.add_command(adapt)
 @click.option("--augment-noise", type=click.FloatRange(0, 1), help="Their largest noise, in diameters.")
 @click.option("--augment-holes", type=click.FloatRange(0, 0.9), help="Their largest share of holes.")
 @click.option(
+    "--cut-frames/--no-cut-frames",
+    default=None,
+    help="Most steps see parts of their images, for objects that the frame cuts.  [default: on; paper: off]",
+)
+@click.option(
     "--backbone-weights", type=click.Path(path_type=Path), help="ImageNet's VGG16 (torchvision's file), --preset paper."
 )
 @click.option("--checkpoint-seconds", type=click.FloatRange(min=0), default=60.0, show_default=True)
@@ -124,6 +129,7 @@ def fit(shards: tuple[Path, ...], out: Path | None, preset_name: str, **options:
 
 _TRAIN_OPTIONS = (
     "optimizer", "learning_rate", "batch_images", "schedule", "ema", "precision", "augment_noise", "augment_holes",
+    "cut_frames",
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The batches of a run: which frames each step trains on, what is drawn for them, and how they are degraded.
+"""The batches of a run: which frames each step trains on, what is drawn for them, how they are cut and degraded.
 
 All of it follows from the seed and the number of the step, so a resumed run sees what an unbroken one does.
 """
@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from posenet.augmentation.depth_errors import Degradation, degrade, generator_of
+from posenet.augmentation.framing import frame_size, framed
 from posenet.config import TrainConfig
 from posenet.network.targets import Batch, PackedBatch
-from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.dataset import Frames, epoch_order, step_seeds
 from posenet.training.prefetch import Prefetch
 from posenet.training.rank import Rank
@@ -44,7 +45,7 @@ class Batches:
         return epoch_order(self.train, self.seed, epoch)[position * size : (position + 1) * size]
 
     def load(self, step: int, device: torch.device) -> Batch:
-        """This rank's share of a step's batch, on `device`, degraded where the configuration says so.
+        """This rank's share of a step's batch, on `device`, cut and degraded where the configuration says so.
 
         A GPU takes its steps faster than a core reads and degrades images, so for one other processes make the next
         batches meanwhile.
@@ -69,9 +70,15 @@ class Batches:
     def _made(self, step: int) -> Batch:
         numbers, share = self.frame_numbers(step), self.rank.share
         batch = self.frames.batch(share(numbers), share(step_seeds(self.seed, step, numbers)))
+        if self.config.cut_frames:
+            size = frame_size(batch.depth.shape[1], batch.depth.shape[2], self._drawing(5, step))
+            batch = framed(batch, size, [self._drawing(6, step, int(number)) for number in share(numbers)])
         generators = (generator_of(self.seed, step, number) for number in share(range(len(numbers))))
         images = [self._degraded(*image) for image in zip(batch.depth, generators, strict=True)]
         return batch._replace(depth=torch.stack(images))
+
+    def _drawing(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def _degraded(self, depth: torch.Tensor, generator: np.random.Generator) -> torch.Tensor:
         frames, bounds = self.frames, self.degradation

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from posenet.augmentation import depth_errors
+from posenet.augmentation.depth_errors import Degradation, degrade, generator_of
 from posenet.config import preset
-from posenet.training import augment
-from posenet.training.augment import Degradation, degrade, generator_of
 from posenet.training.batches import Batches, degradation_of
 from posenet.training.dataset import Frames
 from posenet.training.rank import ALONE
@@ -22,7 +22,7 @@ DIAMETER, FOCAL = 0.1, 150.0
 @pytest.fixture(autouse=True)
 def _every_image(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "clean" not in request.node.name:
-        monkeypatch.setattr(augment, "CLEAN", 0.0)
+        monkeypatch.setattr(depth_errors, "CLEAN", 0.0)
 
 
 def table(height: int = 96, width: int = 128) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_without_bounds_images_stay_as_they_are() -> None:
 
 def test_a_share_of_the_images_stays_clean() -> None:
     same = [np.array_equal(degraded(step_across(), 0.02, 0.05, seed), step_across()) for seed in range(200)]
-    assert 0.5 * augment.CLEAN < np.mean(same) < 1.5 * augment.CLEAN
+    assert 0.5 * depth_errors.CLEAN < np.mean(same) < 1.5 * depth_errors.CLEAN
 
 
 def test_noise_stays_within_its_bound_and_differs_from_image_to_image() -> None:
@@ -91,8 +91,8 @@ def test_edges_lose_returns_beside_them_and_nothing_is_lost_far_away() -> None:
 
 
 def test_a_second_eye_casts_its_shadow_on_the_far_side_of_an_edge_only() -> None:
-    shadow = augment._hidden_from(step_across(), np.float32(0.05 * FOCAL))
-    other = augment._hidden_from(step_across(), np.float32(-0.05 * FOCAL))
+    shadow = depth_errors._hidden_from(step_across(), np.float32(0.05 * FOCAL))
+    other = depth_errors._hidden_from(step_across(), np.float32(-0.05 * FOCAL))
     columns = np.flatnonzero(shadow.any(0))
     wide = round(0.05 * FOCAL * (1 / 0.5 - 1 / 0.6))
     assert len(columns) == pytest.approx(wide, abs=1) and columns.max() == 63
