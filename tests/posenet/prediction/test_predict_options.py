@@ -61,7 +61,7 @@ def test_without_registration_the_score_is_the_confidence(run_folder: Path, view
     network = predictor(run_folder, PredictOptions()).fast
     depth = torch.from_numpy(view.depth)[None]
     intrinsics = intrinsics_of(view.camera)[None]
-    with torch.no_grad(), network.predicting(alone.bf16):
+    with torch.no_grad(), network.predicting(alone.fast.bf16):
         (proposals,) = network.propose(network.encode(depth, intrinsics))
         scored = network.score(proposals)
     confidence = scored.confidence.sigmoid().sort(descending=True).values.numpy()

@@ -1,4 +1,4 @@
-"""What every command refuses before it begins: an option given twice, a number that is none, an output that is read."""
+"""What every command refuses before it begins: a thing named twice, a number that is none, an output that is read."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MAY_BE_NAN = ("no_return",)  # images of floats mark so what did not return
 
 
 class Command(click.Command):
-    """A command whose options each say one thing."""
+    """A command that takes what its options say, or refuses it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse as click does, then refuse what no command can mean.
 
         Raises:
-            InputError: an option is given twice, a number is not finite, or an output is also read.
+            InputError: an option names two things for one, a number is not finite, or an output is also read.
         """
         if not ctx.resilient_parsing:
             self._require_once(ctx, args)
@@ -32,11 +32,16 @@ class Command(click.Command):
         return rest
 
     def _require_once(self, ctx: click.Context, args: list[str]) -> None:
-        """Of two values the last would count, silently: two meshes, of which one would be simulated."""
+        """Of two names the last would count, silently: two meshes, of which one would be simulated.
+
+        Of two numbers it may: who appends an option to a command means the latter.
+        """
         _, _, order = self.make_parser(ctx).parse_args(list(args))
         seen: set[str] = set()
         for param in order:
             if not isinstance(param, click.Option) or param.is_flag or param.multiple or param.count:
+                continue
+            if not isinstance(param.type, (click.Path, click.types.StringParamType)):
                 continue
             if param.name in seen:
                 raise InputError(f"{param.opts[-1]} is given twice; give it once.")

@@ -114,7 +114,7 @@ def _reader(text: str, suffix: str) -> tuple[str, Callable[[str], Any]]:
         return "JSON", lambda text: json.loads(text, object_pairs_hook=_unique)
     if suffix in (".yaml", ".yml") or text.startswith(("%YAML", "---", "{")):
         return "YAML", _yaml
-    return "text", _text
+    return "camera", _text
 
 
 def _text(text: str) -> Any:
