@@ -98,6 +98,8 @@ def _at_working_scale(frames: Frames, options: FitOptions, distance: float) -> F
     if any(degradation_of(options.config.train, frames)):
         have = f"the shards have those of '{frames.sensor}', so half of" if frames.sensor else "up to"
         log.info("Sensor errors: drawn on the fly, %s what a bad stereo camera makes (--augment off for none).", have)
+    if options.config.train.cut_frames:
+        log.info("Frames: most steps see parts of their images, for objects that the frame cuts (--no-cut-frames).")
     return frames.on_grid_of(camera)
 
 
