@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from evalkit.geometry.camera import Camera
+from posenet.layers.ops import box_area
 
 LEAST_INSIDE = 0.5  # of a box; an instance whose box the frame cuts more is not learned from
 
@@ -87,7 +88,7 @@ class LabeledImage:
 
     def _without_cut_ones(self) -> LabeledImage:
         """The same without the labels of what lies beyond the frame; what the frame cuts is not to be learned."""
-        whole, inside = (_areas(boxes) for boxes in (self._whole_boxes(), self.boxes))
+        whole, inside = (box_area(boxes) for boxes in (self._whole_boxes(), self.boxes))
         there = inside > 0
         visibility = torch.where(inside >= LEAST_INSIDE * whole, self.visibility, 0.0)
         outlines = [points for points, kept in zip(self.outlines, there.tolist(), strict=True) if kept]
@@ -102,7 +103,3 @@ def _rays(points: Tensor, camera: Camera) -> Tensor:
 def _points(rays: Tensor, camera: Camera) -> Tensor:
     """The inverse of :func:`_rays`."""
     return torch.stack([rays[:, 0] * camera.fx + camera.cx + 0.5, rays[:, 1] * camera.fy + camera.cy + 0.5], -1)
-
-
-def _areas(boxes: Tensor) -> Tensor:
-    return (boxes[:, 2:] - boxes[:, :2]).clamp(min=0).prod(-1)

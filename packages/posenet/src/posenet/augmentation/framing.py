@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from posenet.layers.ops import box_area
 from posenet.network.targets import Batch
 
 # Shares of a side that an image keeps, equally likely. Few, for each new size of image costs its convolutions a start.
@@ -41,7 +41,7 @@ def framed(batch: Batch, size: tuple[int, int], draws: Sequence[np.random.Genera
         moved = whole - whole.new_tensor([x, y, x, y])
         inside = moved.clamp(min=0).minimum(moved.new_tensor([width, height, width, height]))
         boxes.append(inside)
-        visibility.append(seen * (_area(inside) / _area(whole).clamp(min=1e-6)).clamp(max=1).to(seen))
+        visibility.append(seen * (box_area(inside) / box_area(whole).clamp(min=1e-6)).clamp(max=1).to(seen))
     return batch._replace(
         depth=torch.stack(depth), intrinsics=batch.intrinsics - shift, boxes=boxes, visibility=visibility
     )
@@ -50,7 +50,3 @@ def framed(batch: Batch, size: tuple[int, int], draws: Sequence[np.random.Genera
 def _corner(shape: Sequence[int], size: tuple[int, int], draw: np.random.Generator) -> tuple[int, int]:
     y, x = (int(draw.integers(0, whole - part + 1)) for whole, part in zip(shape, size, strict=True))
     return x, y
-
-
-def _area(boxes: Tensor) -> Tensor:
-    return (boxes[:, 2:] - boxes[:, :2]).clamp(min=0).prod(-1)
